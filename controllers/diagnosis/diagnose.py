@@ -449,6 +449,7 @@ def _finding(
 
 
 @reported("Comparing the samples with the model, for some seconds.")
+@np.errstate(all="ignore")  # of a plant that is lost, or a model that is far off: what is not finite explains nothing
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices this small take several times as long on several threads
 def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0, *, alone: bool = False

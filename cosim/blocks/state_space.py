@@ -316,18 +316,21 @@ def _factor(covariance: ArrayLike, n: int) -> Floats:
         raise ModelError(
             f"StateSpace has a process_noise of shape {q.shape}; for {n} states it must be {n} x {n} finite numbers."
         )
-    scale = float(np.abs(q).max(initial=0.0))
+    # In units in which the variances are about 1, so that rounding does not depend on those of the states; powers of 2 are exact.
+    variances = np.diag(q)
+    units = np.exp2(np.round(np.log2(np.where(variances > 0.0, variances, 1.0)) / 2.0))
+    q = q / np.outer(units, units)
     lower = np.zeros((n, n))
     for j in range(n):
         pivot = q[j, j] - lower[j, :j] @ lower[j, :j]
-        if pivot > 1e-14 * scale:
+        if pivot > 1e-14:
             lower[j, j] = np.sqrt(pivot)
             lower[j + 1 :, j] = (q[j + 1 :, j] - lower[j + 1 :, :j] @ lower[j, :j]) / lower[j, j]
-    if not np.allclose(lower @ lower.T, q, rtol=0.0, atol=1e-9 * scale):
+    if not np.allclose(lower @ lower.T, q, rtol=0.0, atol=1e-9):
         raise ModelError(
             "StateSpace has a process_noise that is not a covariance; it must be symmetric, without negative eigenvalues."
         )
-    return lower
+    return units[:, None] * lower
 
 
 _OTHERWISE = (

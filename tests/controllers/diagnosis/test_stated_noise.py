@@ -1,5 +1,7 @@
 """Noise of sensors that the model states far too large, as in degrees for samples in radians."""
 
+import warnings
+
 import control
 import numpy as np
 import pytest
@@ -28,6 +30,38 @@ def test_noise_in_another_unit_is_named_before_more_noise_of_the_plant(wrong):
         assert finding.sentence.startswith("The model states the noise of sensors 0, 1, 2 and 3 too large, at least ")
     else:
         assert finding is None
+
+
+def test_a_plant_in_arcseconds_is_diagnosed_without_a_warning():
+    """Candidates that are far off overflow; each warned in a notebook."""
+    arcsec, k, c = 206265.0, 15791.0, 40.2
+    A = np.array(
+        [
+            [0, 1, 0, 0, 0],
+            [-k / 80, -(c + 20) / 80, k / 80, c / 80, 0],
+            [0, 0, 0, 1, 0],
+            [k / 320, c / 320, -k / 320, -c / 320, arcsec / 320],
+            [0, 0, 0, 0, -0.2],
+        ]
+    )
+    B = np.array([[0, 0], [arcsec / 80, 0], [0, 0], [0, 0], [0, 0.2]])
+    C = np.array([[0, 0, 1, 0, 0], [0, 1, 0, 0, 0], [0, 0, 0, 1, 0.0]])
+    outputs = ["angle", "motor_rate", "axis_rate"]
+    plant = control.ss(A, B, C, 0, inputs=["torque", "gust"], outputs=outputs)
+    std = [2.0, 5.0, 0.3, 1.0, 3.0]
+    controller = controllers.design(
+        plant, dt=0.02, measured=outputs, actuated="torque", sensors=[3, 1, 1], sensor_std=std, sensor_bias=[0, 0, 0, 0, 5.0],
+        goal="angle", noise={"gust": 112.0, "torque": 0.5}, acceptable_error=1.0, acceptable_control=10.0, u_min=-60, u_max=60,
+    )  # fmt: skip
+    sensors = cosim.Sensors([3, 1, 1], std, bias=[0, 0, 0, 0, 4.0], every=[1, 1, 50, 1, 1])
+    loop = cosim.closed_loop(
+        plant, controller, control="torque", measured=outputs, sensors=sensors, reference=0.0,
+        noise={"gust": cosim.Gaussian(std=112.0)},
+    )  # fmt: skip
+    run = loop.simulate(60.0, seed=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert controllers.diagnose(run, loop) is None
 
 
 def test_what_is_no_small_noise():

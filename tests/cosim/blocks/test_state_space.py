@@ -242,6 +242,17 @@ def test_process_noise_has_the_covariance_asked_for(rank):
     assert np.array_equal(short["compiled"], run["plant.y1"][:51])
 
 
+def test_process_noise_may_have_states_of_any_units():
+    """Five states that one input moves, from micrometres to newtons: the covariance of a design was refused by its rounding."""
+    moved = np.array([2e-7, 0.3, -4e-7, 95.0, -2e-3])
+    covariance = np.outer(moved, moved) * (1.0 + 1e-16)
+    block = cosim.StateSpace(control.ss(0.5 * np.eye(5), np.zeros((5, 1)), np.eye(5), 0, 0.1), process_noise=covariance)
+    y = driven(block, 0.1, {}).simulate(200.0, seed=1, record=["plant.y*"])
+    states = np.column_stack([y[name] for name in sorted(y) if name.startswith("plant.y")]) / moved
+    np.testing.assert_allclose(states, states[:, :1].repeat(5, axis=1), rtol=1e-6, atol=1e-7)
+    assert states[:, 0].std() == pytest.approx((1.0 / 0.75) ** 0.5, rel=0.1)
+
+
 def test_process_noise_of_nonlinear_systems():
     block = cosim.StateSpace(pendulum(dt=0.05), process_noise=np.diag([0.0, 0.01]))
     quiet = driven(cosim.StateSpace(pendulum(dt=0.05)), 0.05, {}).simulate(0.1, record=["plant.rate"])
