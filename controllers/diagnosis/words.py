@@ -346,9 +346,9 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
             f"{'a load acts' if len(loads) == 1 else 'two loads act,'} {times}, "
             f"{'' if len(loads) == 1 else 'at least one of them '}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
-            "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, add an "
-            "input there with a lag before it, and give noise to that input (more noise, if the plant has such an input). The "
-            "guide 'How do I get rid of a steady error?' has an example."
+            "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, put a "
+            "lag before the input there, or add such an input, and give it noise. Noise without a lag is not enough for a load "
+            "that stays. The guide 'How do I get rid of a steady error?' has an example."
         )
     changes = ", and then ".join(f"of a change of {change(load[2:], model, units)}" for load in loads)
     return (

@@ -210,7 +210,8 @@ def root_locus_figure(loop: Any, poles: Any, title: str, figure: Figure) -> Figu
     if len(boxes) > 1:
         low, high = boxes[1]
         axes[0].set_title("the unit circle; the square is enlarged on the right", fontsize=9)
-        axes[1].set_title(f"enlarged: {len(near[0])} of {len(poles)} poles of the loop, near 1", fontsize=9)
+        shown = sum(low.real <= p.real <= high.real and low.imag <= p.imag <= high.imag for p in poles)
+        axes[1].set_title(f"enlarged: {shown} of {len(poles)} poles of the loop, near 1", fontsize=9)
         x, y = (
             (low.real, high.real, high.real, low.real, low.real),
             (low.imag, low.imag, high.imag, high.imag, low.imag),

@@ -150,3 +150,16 @@ def test_the_diagram_and_the_numbers_are_written(tmp_path):
     assert sum(numbers["reliability"]["samples"]) == numbers["samples"]
     (tmp_path / "file").write_text("")
     assert RUNNER.invoke(app, ["calibrate", "cruise_control", "--out", str(tmp_path / "file")]).exit_code == 12
+
+
+def test_slow_sensors_are_said_to_have_all_samples(with_learner, tmp_path):
+    file = with_learner('kind = "GammaPrecision"')
+    told = "all sensors have a sample in each step"
+    plain = RUNNER.invoke(app, ["calibrate", file, "--steps", "2000"])
+    assert told not in plain.output
+    slow = SHIPPED.replace("\n[sensors]\n", "\n[sensors]\nevery = [1, 5]\n")
+    assert slow != SHIPPED
+    (tmp_path / "slow.toml").write_text(
+        re.sub(r"^kind = \"SwitchingPrecision\".*$", 'kind = "GammaPrecision"', slow, flags=re.M), encoding="utf-8"
+    )
+    assert told in RUNNER.invoke(app, ["calibrate", str(tmp_path / "slow.toml"), "--steps", "2000"]).output

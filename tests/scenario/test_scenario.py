@@ -244,6 +244,24 @@ def test_a_design_is_for_the_units_of_the_plant(write):
     load_scenario(write(text=text.replace("[sensors]\n", '[sensors]\nunit = "rad"\n')))
 
 
+def test_a_source_may_be_a_column_of_a_file(write, tmp_path, monkeypatch):
+    (tmp_path / "drive.csv").write_text("t,speed\n0,20\n10,25\n")
+    text = find_scenario("cruise_control").read_text()
+    begin = text.index("[reference]")
+    end = text.index("\n[", begin) + 1
+    table = '[reference]\nkind = "Table"\nfile = "drive.csv"\ncolumn = "speed"\n'
+    file = write(text=f"{text[:begin]}{table}\n{text[end:]}")
+    monkeypatch.chdir("/")
+    (source,) = load_scenario(file).reference
+    assert (source.times, source.values) == ((0.0, 10.0), (20.0, 25.0))
+    with pytest.raises(cosim.RecordingError, match=r"has no column 'sped'; did you mean 'speed'"):
+        load_scenario(write(text=file.read_text().replace('"speed"', '"sped"')))
+    with pytest.raises(cosim.RecordingError, match=r"drive2\.csv"):
+        load_scenario(write(text=file.read_text().replace("drive.csv", "drive2.csv").replace("sped", "speed")))
+    with pytest.raises(ScenarioError, match="unknown key 'values'; known names: column, file, interpolate, time, unit"):
+        load_scenario(write(text=f"{text[:begin]}{table}values = [1.0]\n\n{text[end:]}"))
+
+
 def test_continuous_linear_plant_with_process_noise(write):
     plant = "A = [[-0.05]]\nB = [[0.01]]\nC = [[1.0]]\ndt = 0\nprocess_noise = [[1e-4]]\ninitial = [20.0]\n"
     text = CAR[: CAR.index("[noise.")] + CAR[CAR.index("[sensors]") :]

@@ -18,7 +18,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults import kinds as faults
 from bayesftc.cosim.blocks.kinds import SOURCES
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
-from bayesftc.cosim.blocks.sources import Constant
+from bayesftc.cosim.blocks.sources import Constant, Table
 from bayesftc.cosim.diagram.closed_loop import check_count, with_arrays
 from bayesftc.cosim.diagram.subsystem import Subsystem
 from bayesftc.scenario._blocks import Surroundings, subsystem
@@ -132,7 +132,11 @@ def _source(value: object, place: Place) -> Block:
     if isinstance(value, int | float) and not isinstance(value, bool):
         with place.named():
             return Constant(real(value))
-    return build_one_of(SOURCES, value, place)  # type: ignore[no-any-return]
+    cls, rest = choose(SOURCES, value, place)
+    if cls is Table and isinstance(file := rest.get("file"), str):  # a column of a file, in place of numbers
+        rest["file"] = str(Path(place.file).absolute().parent / file)
+        return build(Table.read, rest, place, of_kind=True)  # type: ignore[no-any-return]
+    return build(cls, rest, place, of_kind=True)  # type: ignore[no-any-return]
 
 
 def sensors(table: object, place: Place, wiring: Wiring, plant: Block) -> Sensors:

@@ -120,6 +120,8 @@ def calibrate(
         f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), "
         f"calibration error {report.calibration_error:.3f}."
     )
+    if loaded.sensors is not None and max(loaded.sensors.rates, default=1) > 1:
+        typer.echo("Here all sensors have a sample in each step, also those that [sensors] gives fewer (every).")
     names = controller.model.names
     if doubts := doubt(report, None if names is None else names.sensors):
         typer.echo(doubts + _remedy(learner))

@@ -22,14 +22,16 @@ def print_faults(
     recording: Recording | None = None,
     doubtful: Sequence[FaultEvent] = (),
     hold: float | None = None,
+    open_: bool = False,
 ) -> None:
     """Print the table of alarms, with the unit of each sensor and input by its name, and dates if the recording has any.
 
-    The kinds of doubtful ones are in brackets. Pauses of at most `hold` seconds do not end an alarm.
+    The kinds of doubtful ones are in brackets. Pauses of at most `hold` seconds do not end an alarm. `open_`: sentences on times
+    in which it is open which sensor is faulty follow.
     """
     console, say = output.sayer()
     if not events:
-        say("No fault was found.")
+        say("No fault was found in a sensor that can be named:" if open_ else "No fault was found.")
         return
     clock = Clock(recording)
     table = output.empty_table("kind", *clock.titles("onset", "alarm"), "size")

@@ -343,7 +343,8 @@ def _print(
     else:
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
         hold = time_at(monitored.alarm.hold, float(recording.dt))
-        print_faults((*monitored.events, *monitored.actuator_events), dict(units), recording, doubtful, hold)
+        events: list[FaultEvent | ActuatorEvent] = [*monitored.events, *monitored.actuator_events]
+        print_faults(events, dict(units), recording, doubtful, hold, open_=bool(monitored.disagreements))
         print_disagreements(monitored, doubtful)
     for note in monitored.burst_notes():
         say(note)
