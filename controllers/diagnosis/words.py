@@ -299,10 +299,12 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     if (load := int(state) - model.states + model.disturbances) >= 0:
         return _noise_of_load(load, std, model) if has_loads(model) else _wandering(load, values[1:], model, units)
     names = None if model.names is None or state < 0 else model.names.states
-    where = f" of {names[int(state)]}" if names and not names[0].startswith("x[") else ""
+    # A number says nothing without the unit of a state that has a name.
+    named_state = names[int(state)] if names and not names[0].startswith("x[") else ""
+    size = f", about as by a standard deviation of {std:.2g} in each sample of {named_state}" if named_state else ""
     return (
-        f"the plant is moved more at random than process_covariance says, about as by a standard deviation of {std:.2g} in each "
-        f"sample{where}. Say where that noise acts (noise in design and in a scenario), or make process_covariance larger."
+        f"the plant is moved more at random than process_covariance says{size}. Say where that noise acts (noise in design and "
+        "in a scenario), or make process_covariance larger."
     )
 
 

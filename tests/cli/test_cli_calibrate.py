@@ -155,11 +155,11 @@ def test_the_diagram_and_the_numbers_are_written(tmp_path):
 def test_slow_sensors_are_said_to_have_all_samples(with_learner, tmp_path):
     file = with_learner('kind = "GammaPrecision"')
     told = "all sensors have a sample in each step"
-    plain = RUNNER.invoke(app, ["calibrate", file, "--steps", "2000"])
+    plain = RUNNER.invoke(app, ["calibrate", file, "--steps", "5000"])
     assert told not in plain.output
     slow = SHIPPED.replace("\n[sensors]\n", "\n[sensors]\nevery = [1, 5]\n")
     assert slow != SHIPPED
     (tmp_path / "slow.toml").write_text(
         re.sub(r"^kind = \"SwitchingPrecision\".*$", 'kind = "GammaPrecision"', slow, flags=re.M), encoding="utf-8"
     )
-    assert told in RUNNER.invoke(app, ["calibrate", str(tmp_path / "slow.toml"), "--steps", "2000"]).output
+    assert told in RUNNER.invoke(app, ["calibrate", str(tmp_path / "slow.toml"), "--steps", "5000"]).output
