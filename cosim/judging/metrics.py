@@ -51,7 +51,13 @@ AGGRESSIVE = (
     "The controller is too aggressive for these limits. Give a larger goal_covariance or a smaller control_covariance (in design "
     "a larger acceptable_error or a smaller acceptable_control), or larger limits if the actuator allows them."
 )
+MISLED = (
+    "Meanwhile the belief is wrong by far more than the controller expects, and moves the control: look first at the sensors "
+    "that are faulty and not seen, and at the model."
+)
 """Advice on controls at their limits."""
+LOST = 10.0
+"""Root mean square of a belief's errors, relative to its standard deviations, from which it is lost."""
 
 
 @dataclass(frozen=True)
@@ -375,12 +381,21 @@ def limited(signals: LoopSignals) -> Iterator[tuple[str, str]]:
             yield (
                 f"{name} swings between its limits, {control.low:g}{unit} ({low:.0%} of the run) and {control.high:g}{unit} "
                 f"({high:.0%}){rate}",
-                REACH if follows else AGGRESSIVE,
+                MISLED if any(map(_is_lost, signals.quantities)) else REACH if follows else AGGRESSIVE,
             )
         elif max(low, high) >= LIMITED:
             limit = control.low if low > high else control.high
             where = rate or ", where it cannot do more"
             yield f"{name} is at its limit of {limit:g}{unit} for {max(low, high):.0%} of the run{where}", REACH
+
+
+def _is_lost(quantity: QuantitySignals) -> bool:
+    """Return whether the belief about a quantity is wrong by far more than it expects."""
+    if quantity.truth is None or quantity.belief is None or quantity.spread is None:
+        return False
+    errors = np.abs(quantity.belief - quantity.truth)
+    with np.errstate(all="ignore"):  # of a loop that diverges
+        return bool(np.mean(errors**2) > LOST**2 * np.mean(np.square(quantity.spread)))
 
 
 def _swings(control: ControlSignals) -> int:

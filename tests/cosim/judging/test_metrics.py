@@ -397,3 +397,19 @@ def test_a_control_that_follows_a_goal_out_of_reach_is_not_called_aggressive(amp
     )
     (sentence,) = [note for note in loop.simulate(40.0, seed=1).summary().notes if "swings" in note]
     assert advice in sentence
+
+
+def test_a_control_that_a_frozen_sensor_misleads_is_not_called_aggressive():
+    """A Kalman filter believes it; a larger acceptable error made the tracking worse."""
+    plant = control.ss([[0.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]], [[1.0, 0.0]], 0, inputs=["u"], outputs=["y"])
+    controller = controllers.design(
+        plant, measured="y", actuated="u", sensors=2, sensor_std=[0.01, 1.0], dt=0.02, u_min=-1.0, u_max=1.0,
+        precision=controllers.FixedPrecision(), acceptable_error=0.01, acceptable_control=10.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, [0.01, 1.0]), faults=cosim.Freeze(sensor=0, start=1.0),
+        reference=cosim.Sine(amplitude=2.0, period=8.0),
+    )  # fmt: skip
+    (sentence,) = [note for note in loop.simulate(60.0, seed=1).summary().notes if "swings" in note]
+    assert "the belief is wrong by far more than the controller expects" in sentence
+    assert "aggressive" not in sentence
