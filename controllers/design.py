@@ -469,13 +469,23 @@ def _with_biases(model: LinearModel, H: Floats, std: Floats) -> tuple[LinearMode
     return model.with_sensor_errors(std[biased].tolist(), CONSTANT * float(model.step), biased), H
 
 
-def _accumulated(A: Floats, Q: Floats) -> Floats:
+def _moved(A: Floats, Q: Floats) -> Floats:
     """Return the variance of each state that process noise causes in as many samples as there are states."""
     total = part = Q
     for _ in range(len(A) - 1):
         part = A @ part @ A.T
         total = total + part
     return np.asarray(np.diag(total))
+
+
+def _seen(A: Floats, C: Floats, R: Floats) -> Floats:
+    """Return the variance with which 1024 samples show each state if the others are known; 0 if they do not show it."""
+    information = C.T @ np.linalg.solve(R, C)
+    with np.errstate(all="ignore"):  # of unstable modes
+        for _ in range(10):
+            information, A = information + A.T @ information @ A, A @ A
+        told = np.diag(information)
+        return np.where((told > 0.0) & np.isfinite(told), 1.0 / told, 0.0)
 
 
 def _initial(model: LinearModel, times: float) -> Floats:
@@ -487,9 +497,10 @@ def _initial(model: LinearModel, times: float) -> Floats:
 
     moving = model.moving
     A, C, Q, R = (moving.matrix(name) for name in ("A", "C", "process_covariance", "sensor_covariance"))
-    # A mode without noise has no steady covariance; a little noise on all states gives it one, relative to what moves them.
-    moved = _accumulated(A, Q)
-    spread = 1e-9 * np.where(moved > 0.0, moved, max(float(np.trace(Q)), 1e-12))
+    # A mode without noise has no steady covariance; a little noise on all states gives it one, in units of what moves them, or of
+    # what the sensors see of them.
+    spread = np.maximum(1e-9 * _moved(A, Q), 1e-6 * _seen(A, C, R))
+    spread = np.where(spread > 0.0, spread, 1e-9 * max(float(np.trace(Q)), 1e-12))
     start = np.zeros((model.states, model.states))
     n = moving.states
     try:

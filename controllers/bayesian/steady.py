@@ -49,6 +49,8 @@ DOUBLINGS = 20
 a constant without process noise, whose gain falls as the inverse of the number of samples."""
 SETTLED = 1e-10
 """Largest change of a covariance by which it counts as steady, in units in which its variances are 1."""
+NOTHING = 1e-20
+"""Variance, relative to that at the start, of a state that is known exactly: without noise it falls for ever."""
 
 
 class Gains(NamedTuple):
@@ -129,7 +131,7 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
     # The steady state does not depend on the start, but a very uncertain start would lose R to rounding.
     start = start * min(1.0, 1e6 / max(1.0, float((np.diag(C @ start @ C.T) / np.diag(R)).max())))
     predicted = start + Q + 1e-9 * np.trace(R) * one
-    largest = VARIANCE_CAP * np.trace(predicted)
+    largest, least = VARIANCE_CAP * np.trace(predicted), NOTHING * np.diag(predicted)
     goals = GA.T @ V @ GA if joint else np.zeros_like(A)
     for taken in range(STEPS):  # the covariances' recursion, which diverges for an undetectable model
         innovation = C @ predicted @ C.T + R
@@ -138,14 +140,14 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
         T = np.linalg.inv(one + P @ goals)
         following = A @ (T @ P) @ A.T + Q
         before, predicted = predicted, (following + following.T) / 2
-        if _is_close(predicted, before) or np.trace(predicted) > largest:
+        units = np.sqrt(np.maximum(np.diag(before), least))
+        if (np.abs(predicted - before) <= SETTLED * np.outer(units, units)).all() or np.trace(predicted) > largest:
             break
         if taken == LEAP_AFTER:
             update = one - K @ C
             information = C.T @ np.linalg.solve(innovation, C) + update.T @ goals @ T @ update
             # The change D of a covariance obeys D' = F D (I + S D)^-1 F' + change, where F is the transition of the prediction's
             # error, and S the information of a sample. Pivots should not depend on the units of the states.
-            units = _units(before)
             scale, F = np.outer(units, units), A @ T @ update
             change = doubled(F * units / units[:, None], information * scale, (predicted - before) / scale, DOUBLINGS)
             leapt = before + scale * change
@@ -156,17 +158,6 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
     L, M = np.linalg.solve(information, weight.T @ GA), np.linalg.solve(information, weight.T)
     by_goal = T @ P @ GA.T @ V if joint else np.zeros((len(A), len(G)))
     return Gains(*(np.asarray(gain, float) for gain in (K, L, M, T, by_goal)))
-
-
-def _is_close(P: Floats, other: Floats) -> bool:
-    """Return whether two covariances are equal but for SETTLED, in units in which the variances of the first are 1."""
-    units = _units(P)
-    return bool((np.abs(P - other) <= SETTLED * np.outer(units, units)).all())
-
-
-def _units(P: Floats) -> Floats:
-    """Return units of the states in which the variances of a covariance are 1."""
-    return np.sqrt(np.maximum(np.diag(P), np.finfo(float).tiny))
 
 
 def moduli(controller: BayesianController) -> Floats:

@@ -356,8 +356,11 @@ def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
         values = tuple(x for h, load in enumerate(found.loads) for x in (*times[2 * h : 2 * h + 2], *map(float, load)))
     else:
         control = found.columns[0] - judge.model.controls - judge.model.plant_states
-        values = *times, 1.0 + float(found.sizes[0, 0]), float(control), *map(float, found.sizes[0, 1:])
-        kind = "loss"
+        effect = 1.0 + float(found.sizes[0, 0])
+        values = *times, effect, float(control)
+        if kind == "stuck":  # with what is left of its effect, at its mean
+            sent = judge.recording.u[found.instants[0] : (*found.instants, None)[1], control]
+            kind, values = "loss", (*values, float(found.sizes[0, 1]) + effect * float(sent.mean()))
     return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
 
 

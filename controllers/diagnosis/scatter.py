@@ -87,8 +87,9 @@ def stated_too_large(y: Floats, std: Floats, groups: Sequence[Sequence[int]]) ->
     who = f"sensors {', '.join(first)} and {last}" if first else f"sensor {last}"
     times = float((std[quiet] / most[quiet]).min())
     return (
-        f"The model states the noise of {who} too large, at least {times:.2g} times by the changes from sample to sample. "
-        "State it first (sensor_std in design, or sensor_covariance), in the unit of the samples. "
+        f"Unless the errors of {who} last for many samples, the model states them at least {times:.2g} times too large: by the "
+        "changes from sample to sample. Correct that before all else (sensor_std in design, or sensor_covariance, in the unit of "
+        "the samples). "
     )
 
 

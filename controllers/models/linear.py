@@ -32,6 +32,10 @@ def sizes_of(model: Any) -> str:
     return f"{', '.join(parts)}, dt = {float(model.step):g} s"
 
 
+SAME_DIRECTION = 1e-9
+"""Relative size of rounding up to which two rows of C are multiples of each other."""
+
+
 @dataclass(frozen=True)
 class SignalNames:
     """Names of the signals of a model, as in python-control or the FMU.
@@ -210,12 +214,24 @@ class LinearModel(Printed, NamedArguments):
 
     @property
     def proportional(self) -> tuple[tuple[int, ...], ...]:
-        """The sensors in groups whose readings are multiples of each other but for a constant, as a depth and an altitude."""
-        groups: dict[bytes, list[int]] = {}
-        for i, row in enumerate(self.quantities[:, : self.states - self.constant]):
-            first = row[np.argmax(row != 0.0)]
-            groups.setdefault((np.round(row / (first or 1.0), 12) + 0.0).tobytes(), []).append(i)
-        return tuple(tuple(group) for group in groups.values())
+        """The sensors in groups whose readings are multiples of each other but for a constant, as a depth and an altitude.
+
+        They are compared by what they say of the state, whereas those of `alike` can be compared sample by sample.
+        """
+        rows = self.quantities[:, : self.states - self.constant]
+        rows = rows / np.maximum(np.abs(rows).max(axis=0), np.finfo(float).tiny)  # the units of states do not matter
+        groups: list[list[int]] = []
+        for i, row in enumerate(rows):
+            largest = int(np.argmax(np.abs(row)))
+            for group in groups:
+                other = rows[group[0]]
+                apart = row * other[largest] - other * row[largest]
+                if np.abs(apart).max() <= SAME_DIRECTION * np.abs(row[largest]) * np.abs(other).max():
+                    group.append(i)
+                    break
+            else:
+                groups.append([i])
+        return tuple(tuple(group) for group in groups)
 
     @property
     def quantity(self) -> tuple[int, ...]:

@@ -369,7 +369,9 @@ class Result(Mapping[str, Floats]):
         from bayesftc.cosim.judging.metrics import limited
         from bayesftc.cosim.judging.roles import signals_of
 
-        return [] if self.roles is None else list(limited(signals_of(self.roles, self, drawn=False)))
+        if self.roles is None or not list(limited(signals_of(self.roles, self, drawn=False))):
+            return []
+        return list(limited(signals_of(self.roles, self, drawn=True)))  # whether the belief is lost
 
     def _repr_html_(self) -> str:
         """Return a table of the signals with their ranges, for notebooks."""

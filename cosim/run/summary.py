@@ -204,7 +204,7 @@ def _below_sensors(sensors: Sequence[Mapping[str, Any]], alarms: Mapping[str, An
         remarks.append(FALSE_ALARMS.format(alarms["false_alarms"], *bounds))
     if any(map(_blamed_before, sensors)):
         remarks.append(BEFORE)
-    if any(s["auc"] is not None and s["auc"] < 0.5 and not s["missed"] for s in sensors):
+    if any(s["auc"] is not None and s["auc"] < 0.5 and not s["missed"] and not _blamed_before(s) for s in sensors):
         remarks.append(BETWEEN)
     return " ".join(remarks)
 

@@ -726,6 +726,18 @@ def test_a_sensor_whose_error_hardly_changes_has_an_observer_of_its_own(time_con
     assert bank.sensors == ((0,), (1,), (2,))
 
 
+@pytest.mark.parametrize("coupling", [0.0, 1e-20, 1e-15, 1e-10])
+def test_a_state_that_noise_hardly_reaches_has_an_initial_covariance(coupling):
+    """One that only rounding couples to the noise had none, and no steady filter."""
+    A = [[0, coupling, 0], [0, -1, 0], [0, 0, -0.5]]
+    plant = control.ss(A, [[1, 0], [0, 1], [0, 0]], [[1, 0, 0], [0, 1, 0]], 0, inputs=["u", "gust"], outputs=["x", "v"])
+    controller = design(
+        plant, measured=["x", "v"], actuated="u", goal="x", dt=0.1, sensors=[1, 1], sensor_std=1.0, noise={"gust": 1.0},
+        acceptable_error=1.0, acceptable_control=1.0,
+    )  # fmt: skip
+    assert 1e-4 < controller.initial_covariance[0, 0] ** 0.5 < 0.1
+
+
 @pytest.mark.parametrize("unit", [1.0, 1.0 / 206265.0, 1e6])
 def test_the_initial_covariance_does_not_depend_on_units(unit):
     """The gusts of a telescope are in N m; noise in the same number for all states was 13 arcsec of an angle in rad."""

@@ -242,6 +242,17 @@ def test_a_design_is_for_the_units_of_the_plant(write):
     with pytest.raises(ScenarioError, match=sentence):
         load_scenario(write(text=degrees))
     load_scenario(write(text=text.replace("[sensors]\n", '[sensors]\nunit = "rad"\n')))
+    own = degrees.replace('kind = "design"\n', 'kind = "design"\nsensor_std = 0.01\n')
+    assert own != degrees
+    with pytest.raises(ScenarioError, match=sentence):  # whoever gives the noise has not converted the samples by that
+        load_scenario(write(text=own))
+    blocks = '\n[blocks.deg]\nkind = "Gain"\ngain = 57.2957795131\n'
+    blocks += '\n[blocks.rad]\nkind = "Gain"\ngain = [[0.0174532925199, 0.0], [0.0, 0.0174532925199]]\n'
+    links = (("plant.angle", "deg.u"), ("deg.y", "sensors.u"), ("sensors.y", "rad.u"), ("rad.y", "controller.y"))
+    blocks += "".join(f'\n[[connections]]\nfrom = "{a}"\nto = "{b}"\n' for a, b in links)
+    faults = own.index("[[faults]]")
+    end = own.index("\n[", own.index("\n", faults)) + 1
+    assert load_scenario(write(text=f"{own[:faults]}{own[end:]}{blocks}")).loop()["rad"].block.gain
 
 
 def test_a_source_may_be_a_column_of_a_file(write, tmp_path, monkeypatch):

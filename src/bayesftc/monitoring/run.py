@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEALTHY = "healthy"
+FOUND_OPEN = "A fault was found, but not in which sensor: see disagreements."
 Event = TypeVar("Event", FaultEvent, ActuatorEvent)
 
 MANY_BURSTS, AROUND, MOST = 0.01, 10, 0.8
@@ -159,7 +160,8 @@ class Monitored:
             for event in self.events
         ]
         header = ("sensor", "kind", "onset", "alarm", "size", "largest probability")
-        faults = table("Faults", found, header) if found else "<p>No fault was found.</p>"
+        nothing = FOUND_OPEN if self.disagreements else "No fault was found."
+        faults = table("Faults", found, header) if found else f"<p>{nothing}</p>"
         notes = "".join(f"<p>{escape(text)}</p>" for text in self.burst_notes())
         return shown + faults + notes
 

@@ -18,7 +18,13 @@ from bayesftc.scenario._schema import build
 
 
 def designed(
-    table: Mapping[str, Any], place: Place, plant: Block, given: Mapping[str, Any], sensors: Sensors | None
+    table: Mapping[str, Any],
+    place: Place,
+    plant: Block,
+    given: Mapping[str, Any],
+    sensors: Sensors | None,
+    *,
+    converted: bool = False,
 ) -> Block:
     """Return the controller that `bayesftc.controllers.design` makes for the plant, with the table's settings.
 
@@ -34,8 +40,10 @@ def designed(
         Further arguments, from other sections of the file.
     sensors : Sensors or None
         The sensors: their number, and the standard deviation of their errors if the table has none.
+    converted : bool
+        Whether blocks between sensors and controller may convert the units of the samples.
     """
-    return _of_plant(design, table, place, {"plant": plant, **given}, sensors)  # type: ignore[no-any-return]
+    return _of_plant(design, table, place, {"plant": plant, **given}, sensors, converted)  # type: ignore[no-any-return]
 
 
 def model_of_plant(
@@ -53,13 +61,14 @@ def _of_plant(
     place: Place,
     from_file: dict[str, Any],
     sensors: Sensors | None,
+    converted: bool = False,
 ) -> Any:
     """Call a function that takes the plant, and what the sections [plant] and [sensors] have, with a table's settings."""
     settings = dict(table)
     if sensors is not None:
         what = "a design" if function is design else "a model of the plant"
         from_file["sensors"] = _numbers(sensors, place, what)
-        if "sensor_std" not in table:  # whoever gives it converts the samples for the controller
+        if not converted or "sensor_std" not in table:
             _check_units(sensors, from_file.get("plant") or from_file["fmu"], from_file["measured"], place, what)
         if sensors.covariance is not None and "sensor_std" not in table:
             raise place.error(
@@ -88,7 +97,8 @@ def _check_units(sensors: Sensors, plant: Block, measured: str | Sequence[str], 
         if of_sensor and of_plant and difference(of_plant, of_sensor, port.meaning, read.meaning):
             raise place.error(
                 f"cannot be {what}, because {element_name(port, i)} is in {of_plant} in the plant, and so in the model, but in "
-                f"{of_sensor} in [sensors]. Give unit and std there in {of_plant}, or [plant] an output in {of_sensor}."
+                f"{of_sensor} in [sensors]. Give unit and std there in {of_plant}, or [plant] an output in {of_sensor}; or "
+                f"convert the samples back to {of_plant} before controller.y, and give sensor_std in {of_plant}."
             )
 
 

@@ -128,13 +128,36 @@ def reference(value: object, place: Place) -> list[Block]:
     return [_source(value, place)]
 
 
+def with_numbers(content: dict[str, Any], file: Path) -> dict[str, Any]:
+    """Return a scenario's content with numbers in place of the files of its tables, which a store does not have."""
+
+    def made(value: Any) -> Any:
+        if isinstance(value, list):
+            return [made(item) for item in value]
+        if not isinstance(value, Mapping) or str(value.get("kind")).lower() != "table" or "file" not in value:
+            return value
+        source = _source(value, Place(str(file)))
+        assert isinstance(source, Table)
+        kept = {key: item for key, item in value.items() if key in ("kind", "interpolate", "unit")}
+        return {**kept, "times": list(source.times), "values": list(source.values)}
+
+    changed = {**content}
+    if "reference" in content:
+        changed["reference"] = made(content["reference"])
+    if isinstance(noise := content.get("noise"), Mapping):
+        changed["noise"] = {name: made(value) for name, value in noise.items()}
+    return changed
+
+
 def _source(value: object, place: Place) -> Block:
     if isinstance(value, int | float) and not isinstance(value, bool):
         with place.named():
             return Constant(real(value))
     cls, rest = choose(SOURCES, value, place)
-    if cls is Table and isinstance(file := rest.get("file"), str):  # a column of a file, in place of numbers
-        rest["file"] = str(Path(place.file).absolute().parent / file)
+    if cls is Table and "file" in rest:  # a column of a file, in place of numbers
+        if not isinstance(rest["file"], str):
+            raise (place / "file").error(f"is {rest['file']!r}. It must be the path of a file, in quotes.")
+        rest["file"] = str(Path(place.file).absolute().parent / rest["file"])
         return build(Table.read, rest, place, of_kind=True)  # type: ignore[no-any-return]
     return build(cls, rest, place, of_kind=True)  # type: ignore[no-any-return]
 
@@ -197,7 +220,8 @@ def controller(
             raise (root / "model").error(
                 "cannot be used with kind = 'design', which makes its model from the plant. Leave it out."
             )
-        return designed(rest, place, plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors)
+        wired = {"measured": wiring.measured, "actuated": wiring.control}
+        return designed(rest, place, plant, wired, sensors, converted=_feeds_controller(content))
     given: dict[str, Any] = {}
     if "model" in content:
         from_plant = plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors
@@ -207,6 +231,13 @@ def controller(
             f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
         )
     return build(cls, rest, place, given=given, of_kind=True)  # type: ignore[no-any-return]
+
+
+def _feeds_controller(content: Mapping[str, Any]) -> bool:
+    """Return whether a connection of the file feeds the samples to the controller, which may convert their units."""
+    listed = content.get("connections", [])
+    targets = [each.get("to") for each in listed if isinstance(each, Mapping)] if isinstance(listed, list) else []
+    return any(isinstance(to, str) and to.partition("[")[0] == "controller.y" for to in targets)
 
 
 def _model(

@@ -22,6 +22,7 @@ from bayesftc.scenario._paths import known_to_controller, line_of, set_line
 from bayesftc.scenario._place import Place
 from bayesftc.scenario._scenario import KNOWN, Scenario, is_designed, scenario_of
 from bayesftc.scenario._schema import as_table, build, build_one_of, choose
+from bayesftc.scenario._sections import with_numbers
 
 if TYPE_CHECKING:
     from bayesftc.cosim.campaign.campaign import Campaign
@@ -174,7 +175,7 @@ def load_campaign(path: str | os.PathLike[str]) -> Campaign:
             f"is {named!r}. It must be a file or the name of a shipped scenario, in quotes."
         )
     scenario = _scenario_file(file, named)
-    loop = ScenarioLoop(str(scenario.absolute()), read_toml(scenario))
+    loop = ScenarioLoop(str(scenario.absolute()), with_numbers(read_toml(scenario), scenario))
     design = _design(content, root)
     metrics = _metrics(content.pop("metrics", []), root / "metrics")
     runs: Runs = build(Runs, content, root)

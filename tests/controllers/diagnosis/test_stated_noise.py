@@ -27,7 +27,9 @@ def test_noise_in_another_unit_is_named_before_more_noise_of_the_plant(wrong):
     )  # fmt: skip
     finding = controllers.diagnose(loop.simulate(40.0, seed=1), loop)
     if wrong:
-        assert finding.sentence.startswith("The model states the noise of sensors 0, 1, 2 and 3 too large, at least ")
+        assert finding.sentence.startswith(
+            "Unless the errors of sensors 0, 1, 2 and 3 last for many samples, the model"
+        )
     else:
         assert finding is None
 
@@ -71,8 +73,11 @@ def test_what_is_no_small_noise():
     noise = 0.1 * rng.standard_normal((steps, 2))
     healthy = level[:, None] + noise
     both = [(0, 1)]
-    assert "sensors 0 and 1 too large, at least 10 times" in stated_too_large(healthy, np.ones(2), both)
-    assert "sensor 1 too large" in stated_too_large(healthy, np.array([0.1, 1.0]), [(0,), (1,)])
+    assert (
+        "sensors 0 and 1 last for many samples, the model states them at least 10 times too large"
+        in stated_too_large(healthy, np.ones(2), both)
+    )
+    assert "Unless the errors of sensor 1 last" in stated_too_large(healthy, np.array([0.1, 1.0]), [(0,), (1,)])
     assert stated_too_large(healthy, np.full(2, 0.25), both) == ""
     lasting = healthy + np.array([1.0, -1.0]) * np.sin(np.arange(steps) / 300.0)[:, None]
     assert stated_too_large(lasting, np.ones(2), both) == ""

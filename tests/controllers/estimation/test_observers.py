@@ -95,6 +95,14 @@ def test_sensors_that_read_a_multiple_of_the_same_are_divided_among_the_sets():
     assert delayed.proportional == model.proportional
 
 
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e3, 1e5, 1e7])
+def test_the_units_of_states_do_not_decide_what_is_proportional(unit):
+    row = np.array([0.37, 0.91 * unit])
+    C = [row, -2.3 * row, 3.0 * row, row * [1.0, 1.01], [0.0, unit]]
+    model = controllers.LinearModel(np.eye(2) * 0.9, [[1.0], [0.0]], C, 1e-4, 0.01, dt=0.1)
+    assert model.proportional == ((0, 1, 2), (3,), (4,))
+
+
 @pytest.mark.parametrize("factor", [1.0, -1.0, 2.0])
 def test_two_faults_beside_a_proportional_sensor_are_no_wrong_model(factor):
     std, measured = [0.05, 0.1, 0.2, 0.01, 0.02], ["depth", "altitude", "rate"]

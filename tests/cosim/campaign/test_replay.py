@@ -99,6 +99,20 @@ def test_a_replay_has_the_notes_of_a_run(said, bayesftc_, tmp_path, old, new, wo
     assert replayed["notes"][1:] == run["notes"]
 
 
+def test_a_campaign_keeps_the_numbers_of_a_file(said, bayesftc_, tmp_path):
+    """The store has no copy of the file, which may be gone when a run is repeated."""
+    (tmp_path / "drive.csv").write_text("t,speed\n0,20\n2,24\n")
+    text = shipped_scenarios()["cruise_control"].read_text()
+    begin = text.index("[reference]")
+    end = text.index("\n[", begin) + 1
+    table = '[reference]\nkind = "Table"\nfile = "drive.csv"\ncolumn = "speed"\n\n'
+    (tmp_path / "car.toml").write_text(f"{text[:begin]}{table}{text[end:]}")
+    (tmp_path / "study.toml").write_text('scenario = "car.toml"\nseeds = 1\nduration = 2.0\nrecord = ["reference.y"]\n')
+    assert bayesftc_("campaign", "study.toml", "-q").exit_code == 0
+    (tmp_path / "drive.csv").unlink()
+    assert said("study", 0)["notes"][0] == "It has the same bits as the run in the store."
+
+
 def test_a_replay_with_an_estimator_alone_compares_its_model(said, tmp_path):
     """Its control is a signal of another block. The plant moves twice as far as the model says."""
     from bayesftc import controllers

@@ -407,8 +407,8 @@ def test_a_control_that_a_frozen_sensor_misleads_is_not_called_aggressive():
         precision=controllers.FixedPrecision(), acceptable_error=0.01, acceptable_control=10.0,
     )  # fmt: skip
     loop = cosim.closed_loop(
-        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, [0.01, 1.0]), faults=cosim.Freeze(sensor=0, start=1.0),
-        reference=cosim.Sine(amplitude=2.0, period=8.0),
+        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, [0.01, 1.0]),
+        faults=cosim.Freeze(sensor=0, start=1.0), reference=cosim.Sine(amplitude=2.0, period=8.0),
     )  # fmt: skip
     (sentence,) = [note for note in loop.simulate(60.0, seed=1).summary().notes if "swings" in note]
     assert "the belief is wrong by far more than the controller expects" in sentence

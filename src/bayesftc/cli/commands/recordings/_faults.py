@@ -31,7 +31,7 @@ def print_faults(
     """
     console, say = output.sayer()
     if not events:
-        say("No fault was found in a sensor that can be named:" if open_ else "No fault was found.")
+        say("A fault was found, but not in which sensor:" if open_ else "No fault was found.")
         return
     clock = Clock(recording)
     table = output.empty_table("kind", *clock.titles("onset", "alarm"), "size")
@@ -114,7 +114,7 @@ def print_disagreements(monitored: Monitored, doubtful: Sequence[FaultEvent]) ->
         several = len(recording.sensors) > 2
         model = ", or whether the model is wrong" if several and len(names) + 1 == len(recording.sensors) else ""
         say(
-            f"From {clock.whole_span(start, end)} it was open which of {', '.join(names)} and {last} is faulty{model} (the sum "
+            f"From {clock.whole_span(start, end)} it is open which of {', '.join(names)} and {last} is faulty{model} (the sum "
             f"of two fault probabilities reaches {max(each.probability for each in pairs):.3g})"
             f"{'' if several else ': a third sensor would tell'}."
         )
