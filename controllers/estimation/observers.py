@@ -76,8 +76,9 @@ def observers(
 ) -> Observers | None:
     """Return observers of as many sets as can each see all undamped modes; None if all sensors together cannot.
 
-    Sensors of the same quantity go to different sets, so that each set sees as much of the plant as possible. Where a quantity
-    has too few for a second set, as one encoder beside three gyros, sets share them. A fault of a gyro then spoils one set.
+    Sensors of the same quantity (`LinearModel.proportional`) go to different sets, so that each set sees as much of the plant as
+    possible. Where a quantity has too few for a second set, as one encoder beside three gyros, sets share them. A fault of a
+    gyro then spoils one set.
 
     Parameters
     ----------
