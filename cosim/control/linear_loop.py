@@ -175,6 +175,8 @@ class LinearLoop:
     def step_info(self, goal: str | None = None, output: str | None = None, **settings: Any) -> dict[str, float]:
         """Return the figures of the response to a step of a goal by 1: rise time, settling time, overshoot and so on.
 
+        With a controller that has a ``preview`` the step is that of the early goal, so that the times contain the preview.
+
         Parameters
         ----------
         goal : str, optional
