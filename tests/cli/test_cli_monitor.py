@@ -774,11 +774,11 @@ def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
     doubtful = FaultEvent("a", 40.0, 48.0, 1.0, "Offset")
     print_disagreements(monitored, [doubtful])
     printed = " ".join(capsys.readouterr().out.split())
-    assert printed.count("it was open which") == 2
+    assert printed.count("it is open which") == 2
     assert (
-        "From 10.00 to 20.00 s it was open which of a, b and c is faulty, or whether the model is wrong (the" in printed
+        "From 10.00 to 20.00 s it is open which of a, b and c is faulty, or whether the model is wrong (the" in printed
     )
     assert (
-        "From 80.00 to 90.00 s it was open which of b and c is faulty (the sum of two fault probabilities reaches 0.97)"
+        "From 80.00 to 90.00 s it is open which of b and c is faulty (the sum of two fault probabilities reaches 0.97)"
         in printed
     )
