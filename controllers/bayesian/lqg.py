@@ -93,7 +93,7 @@ class LQGController(BayesianController):
     >>> servo = LinearModel([[1, 0.1], [0, 1]], [[0.005], [0.1]], [[1, 0]], [1e-6, 1e-6], 1e-4, dt=0.1)
     >>> controller = LQGController(servo, goal_covariance=0.01, control_covariance=1.0)
     >>> print(controller.describe().splitlines()[0])
-    Closed-loop poles of the control: 0.78+0.177764j, 0.78-0.177764j; the slowest of magnitude 0.800.
+    Closed-loop poles of the control: 0.78+0.177764j, 0.78-0.177764j; the slowest of magnitude 0.800 (time constant 0.448 s).
     """
 
     goal_on: Literal["states", "outputs"] | Matrix = "outputs"
