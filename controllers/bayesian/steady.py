@@ -6,13 +6,14 @@ are cached: a campaign over plants or over settings of the precision learner com
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import VARIANCE_CAP
-from bayesftc.controllers.linalg.riccati import doubled
+from bayesftc.controllers.linalg.riccati import doubled, is_covariance
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
@@ -137,7 +138,7 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
         innovation = C @ predicted @ C.T + R
         K = np.linalg.solve(innovation, C @ predicted).T
         P = (one - K @ C) @ predicted @ (one - K @ C).T + K @ R @ K.T
-        T = np.linalg.inv(one + P @ goals)
+        T = np.linalg.inv(one + P @ goals) if joint else one
         following = A @ (T @ P) @ A.T + Q
         before, predicted = predicted, (following + following.T) / 2
         units = np.sqrt(np.maximum(np.diag(before), least))
@@ -149,10 +150,11 @@ def _gains(joint: bool, *packed: Packed) -> Gains:
             # The change D of a covariance obeys D' = F D (I + S D)^-1 F' + change, where F is the transition of the prediction's
             # error, and S the information of a sample. Pivots should not depend on the units of the states.
             scale, F = np.outer(units, units), A @ T @ update
-            change = doubled(F * units / units[:, None], information * scale, (predicted - before) / scale, DOUBLINGS)
-            leapt = before + scale * change
-            if np.isfinite(leapt).all() and np.trace(leapt) <= largest:
-                predicted = leapt
+            with suppress(np.linalg.LinAlgError):  # an undetectable model takes single steps until it has diverged
+                step = (predicted - before) / scale
+                leapt = before + scale * doubled(F * units / units[:, None], information * scale, step, DOUBLINGS)
+                if np.isfinite(leapt).all() and np.trace(leapt) <= largest and is_covariance(leapt):
+                    predicted = leapt
     weight = np.linalg.solve(GA @ P @ GA.T + N, GB)
     information = prior + GB.T @ weight
     L, M = np.linalg.solve(information, weight.T @ GA), np.linalg.solve(information, weight.T)

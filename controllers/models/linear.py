@@ -226,7 +226,8 @@ class LinearModel(Printed, NamedArguments):
             for group in groups:
                 other = rows[group[0]]
                 apart = row * other[largest] - other * row[largest]
-                if np.abs(apart).max() <= SAME_DIRECTION * np.abs(row[largest]) * np.abs(other).max():
+                same = row.any() == other.any()  # what reads no state is a multiple of nothing else
+                if same and np.abs(apart).max() <= SAME_DIRECTION * np.abs(row[largest]) * np.abs(other).max():
                     group.append(i)
                     break
             else:

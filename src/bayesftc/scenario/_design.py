@@ -47,12 +47,18 @@ def designed(
 
 
 def model_of_plant(
-    table: Mapping[str, Any], place: Place, plant: Block, given: Mapping[str, Any], sensors: Sensors | None
+    table: Mapping[str, Any],
+    place: Place,
+    plant: Block,
+    given: Mapping[str, Any],
+    sensors: Sensors | None,
+    *,
+    converted: bool = False,
 ) -> NonlinearModel:
     """Return the model that `NonlinearModel.from_fmu` makes of the plant, with the table's settings; see `designed`."""
     if not isinstance(plant, FMU):
         raise place.error("has kind = 'from_fmu', but the [plant] is no FMU. Give the path of an FMU in [plant].")
-    return _of_plant(NonlinearModel.from_fmu, table, place, {"fmu": plant, **given}, sensors)  # type: ignore[no-any-return]
+    return _of_plant(NonlinearModel.from_fmu, table, place, {"fmu": plant, **given}, sensors, converted)  # type: ignore[no-any-return]
 
 
 def _of_plant(

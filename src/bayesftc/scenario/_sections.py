@@ -225,7 +225,7 @@ def controller(
     given: dict[str, Any] = {}
     if "model" in content:
         from_plant = plant, {"measured": wiring.measured, "actuated": wiring.control}, sensors
-        given["model"] = _model(content["model"], root / "model", simulation, from_plant)
+        given["model"] = _model(content["model"], root / "model", simulation, from_plant, _feeds_controller(content))
     elif "model" in by_name and by_name["model"].default is MISSING:
         raise root.error(
             f"lacks the section [model], which {cls.__name__} needs. Add [model] with A, B, C, ... below it."
@@ -245,6 +245,7 @@ def _model(
     place: Place,
     simulation: Simulation,
     from_plant: tuple[Block, Mapping[str, Any], Sensors | None],
+    converted: bool,
 ) -> LinearModel | NonlinearModel:
     rest = dict(as_table(table, place))
     if "dt" not in rest and simulation.dt is not None:
@@ -253,7 +254,7 @@ def _model(
         from bayesftc.scenario._design import model_of_plant
 
         _, rest = choose((NonlinearModel.from_fmu,), rest, place)
-        return model_of_plant(rest, place, *from_plant)
+        return model_of_plant(rest, place, *from_plant, converted=converted)
     place.refuse_unknown(rest, [*settings(LinearModel), *settings(Extension)])
     extension: Extension = build(Extension, taken(rest, Extension), place)
     model: LinearModel = build(LinearModel, rest, place)

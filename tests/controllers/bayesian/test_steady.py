@@ -71,3 +71,19 @@ def test_the_gain_of_a_constant_without_noise_falls_to_nothing_and_one_that_no_s
     )
     assert np.isfinite(unseen.K).all()
     assert unseen.K[1, 0] > 0.0
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # the covariance of what no sensor sees grows until it is capped
+def test_a_leap_of_a_model_that_no_sensor_sees_whole_may_fail():
+    """It is singular or no covariance in these three of 400; they then take single steps, and have gains as before."""
+    rng, one = np.random.default_rng(0), np.eye(1)
+    for k in range(360):
+        n = int(rng.integers(1, 5))
+        A = np.diag(rng.choice([0.5, 1.0, 1.2, 1.0 + 1e-9, 0.0, 3.0], n))
+        C = rng.normal(size=(1, n)) * (rng.random((1, n)) < 0.6)
+        if k % 2:
+            A = A + 0.1 * np.triu(rng.normal(size=(n, n)), 1)
+        B, Q = rng.normal(size=(n, 1)), np.diag(rng.choice([0, 1e-4, 1.0], n))
+        if k in (184, 307, 359):
+            gains = steady_gains(A, B, C, np.eye(1, n), Q, one, one, one, np.eye(n), joint=k % 3 == 0)
+            assert np.isfinite(gains.K).all()

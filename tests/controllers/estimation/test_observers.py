@@ -101,6 +101,8 @@ def test_the_units_of_states_do_not_decide_what_is_proportional(unit):
     C = [row, -2.3 * row, 3.0 * row, row * [1.0, 1.01], [0.0, unit]]
     model = controllers.LinearModel(np.eye(2) * 0.9, [[1.0], [0.0]], C, 1e-4, 0.01, dt=0.1)
     assert model.proportional == ((0, 1, 2), (3,), (4,))
+    blind = controllers.LinearModel(np.eye(2) * 0.9, [[1.0], [0.0]], [row, [0.0, 0.0]], 1e-4, 0.01, dt=0.1)
+    assert blind.proportional == ((0,), (1,))
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 2.0])
