@@ -51,7 +51,7 @@ place(mean, 0, x_hat)
 
 _WATCH = """
 check_consistency(samples, x_hat, G, bank)
-follow(applied, A, B, seer_row, bank)
+follow(applied, B, bank)
 """
 
 _DESCENT_BY_GRADIENT = """

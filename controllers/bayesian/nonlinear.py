@@ -11,14 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
-from bayesftc.controllers.bayesian.extended_check import (
-    FILTER_BANK,
-    SQUARES as SQUARES_OF_CHECK,
-    VECTORS as VECTORS_OF_CHECK,
-    FilterBank,
-    extended_consistency,
-    make_watch,
-)
+from bayesftc.controllers.bayesian.extended_check import extended_consistency, make_watch
 from bayesftc.controllers.bayesian.free_energy import write_linearised, write_nothing_more
 from bayesftc.controllers.bayesian.minimise import (
     DISTANT,
@@ -38,6 +31,7 @@ from bayesftc.controllers.bayesian.minimise import (
 )
 from bayesftc.controllers.estimation.absurd import Reading, Screen, alarm_of, mark_absurd, screening
 from bayesftc.controllers.estimation.belief import SAMPLE, Learning
+from bayesftc.controllers.estimation.consistency import OBSERVER_BANK, ObserverBank
 from bayesftc.controllers.estimation.filter import MEAN_CAP, Belief, Limits, hold_variances, innovate, limit, restore
 from bayesftc.controllers.linalg.dense import cholesky_semidefinite, congruence
 from bayesftc.controllers.linalg.least_squares import is_finite, marginal
@@ -158,7 +152,7 @@ class Nonlinear(NamedTuple):
     applied: Floats
     learning: Learning
     screen: Screen
-    bank: FilterBank
+    bank: ObserverBank
     bounds: Bounds
     ahead: Ahead
     reach: Floats
@@ -174,7 +168,7 @@ RECORDS = {
         belief=named_alike(Belief),
         learning=named_alike(Learning),
         screen=named_alike(Screen),
-        bank=FILTER_BANK,
+        bank=OBSERVER_BANK,
         bounds=named_alike(Bounds),
         ahead=named_alike(Ahead, slope="FP"),
     ),
@@ -391,7 +385,7 @@ class NonlinearBayesianController(BayesianBlock):
         prior, with_posterior = self._prior_precision(), self.posterior_outputs
         start = self._start()
         screens, screen_parameters = screening(self, start)
-        watching, constants = extended_consistency(
+        watching, constants, spaces = extended_consistency(
             start, np.asarray(self.initial_mean, float), np.asarray(self.initial_covariance, float)
         )
         parameters = (
@@ -408,7 +402,7 @@ class NonlinearBayesianController(BayesianBlock):
         )
         unknowns, equations = p + n, m + g
         sizes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(("samples", "e", "present", "used", "reading", "seer_error"), (m,)),
+            **dict.fromkeys(("samples", "e", "present", "used", "reading"), (m,)),
             **dict.fromkeys(("root", "F", "FP", "X", "spread_out"), (n, n)),
             **dict.fromkeys(("C", "CP"), (m, n)),
             **dict.fromkeys(("reach", "cost", "cost2"), (1,)),
@@ -424,8 +418,7 @@ class NonlinearBayesianController(BayesianBlock):
             "slopes": (SLOPES, equations, unknowns),
             "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),
-            "seer_squares": (SQUARES_OF_CHECK, n, n),
-            "seer_vectors": (VECTORS_OF_CHECK, max(n, m)),
+            **spaces,
         }
         state = {
             "mean": self.initial_mean,

@@ -148,7 +148,7 @@ def look_ahead(u, est):
 def advance(est):
     """Predict the belief at the next step, with the control that is applied."""
     actuate(est.actuators)
-    follow(est.actuators.effective, est.model.A, est.model.B, est.space.J[0], est.bank)
+    follow(est.actuators.effective, est.model.B, est.bank)
     predict(est.belief, est.actuators.effective, est.model, est.largest, est.space.J)
 
 
@@ -172,7 +172,7 @@ def estimation(
     """
     n, p, m = model.states, model.controls, model.sensors
     doubts, screen_parameters = screening(block, model)
-    watching, constants = consistency(model, block.initial_mean)
+    watching, constants, sizes = consistency(model, block.initial_mean)
     scratch = {
         "expected": (m,),
         "samples": (m,),
@@ -190,8 +190,8 @@ def estimation(
         "J": (n, n),
         "JP": (n, n),
         "effective": (p,),
-        "seer_error": (m,),
         "work": (learner.work, m, m),
+        **sizes,
     }
     state = {
         "mean": block.initial_mean,

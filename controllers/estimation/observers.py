@@ -52,8 +52,10 @@ class Observers:
         A K and K, the gains of next prediction and estimate on each innovation; zero for sensors of other sets.
     whiten : ndarray, shape (K, m, m)
         Matrix that whitens an observer's innovations to variance 1; zero rows and columns for sensors of other sets.
-    noise : ndarray, shape (K, n, n)
-        Process covariance of each filter.
+    noise, covariance : ndarray, shape (K, n, n)
+        Process covariance of each filter, and its steady covariance before the samples.
+    transition : ndarray, shape (n, n)
+        The filters' A: the model's, with errors of sensors no slower than `SLOWEST_ERROR`.
     settling : int
         Samples in which the slowest observer forgets its initial state.
     """
@@ -63,6 +65,8 @@ class Observers:
     correction: Floats
     whiten: Floats
     noise: Floats
+    covariance: Floats
+    transition: Floats
     settling: int
 
     def __len__(self) -> int:
@@ -110,7 +114,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
     moving = model.moving
     n, m = moving.states, moving.sensors
     correction, whiten = np.zeros((len(sets), model.states, m)), np.zeros((len(sets), m, m))
-    noise = np.zeros((len(sets), model.states, model.states))
+    noise, covariance = np.zeros((2, len(sets), model.states, model.states))
     A, Q = _with_faster_errors(model)
     settling = 1
     for k, chosen in enumerate(map(list, sets)):
@@ -118,10 +122,13 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
         filtered = _filter(A, C, Q, R)
         if filtered is None:
             return None
-        correction[k, :n, chosen], root, noise[k, :n, :n], samples = filtered[0].T, *filtered[1:]
+        correction[k, :n, chosen], root = filtered[0].T, filtered[1]
+        noise[k, :n, :n], covariance[k, :n, :n], samples = filtered[2:]
         whiten[k][np.ix_(chosen, chosen)] = np.linalg.inv(root)
         settling = max(settling, samples)
-    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, settling)
+    transition = model.matrix("A").copy()
+    transition[:n, :n] = A
+    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, covariance, transition, settling)
 
 
 def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:
@@ -134,15 +141,15 @@ def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:
     return A, Q
 
 
-def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats, Floats, int] | None:
-    """Return the gain K, the root of the innovations' covariance, the process covariance, and the samples to forget the start.
+def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats, Floats, Floats, int] | None:
+    """Return the gain K, the innovations' root, the process covariance, the filter's own, and the samples to forget the start.
 
     None if no filter has a steady state. A mode that neither decays nor has noise (a position that only drifts) would be
     remembered for ever. The filter then has a fading memory, no shorter than needed: what it knows counts a little less with each
     sample, whatever the units of the states (Anderson and Moore, Optimal Filtering, 1979, section 6.2). It does not help against
     a slow mode that the sensors do not see, but would hide errors of the others.
     """
-    best: tuple[Floats, Floats, Floats, int] | None = None
+    best: tuple[Floats, Floats, Floats, Floats, int] | None = None
     hopeless = _remembers(A, C)
     for rests in (np.inf, 1.5, 1.0):  # poles of modes that hardly decay are twice as far from 1 as this memory's
         slowest = FORGOTTEN ** (1.0 / (rests * LONGEST_REST))  # no pole of the filter is slower
@@ -157,7 +164,7 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
         noise = Q + (1.0 - slowest**2) * (after + after.T) / 2.0  # an ordinary filter with this noise has the same gain
         pole = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
         settling = int(np.ceil(np.log(FORGOTTEN) / np.log(pole))) if pole > 0.0 else 1
-        best = np.asarray(gain), np.asarray(root), noise, max(settling, 1)
+        best = np.asarray(gain), np.asarray(root), noise, P, max(settling, 1)
         if hopeless or settling <= LONGEST_REST:
             break
     return best
