@@ -15,9 +15,12 @@ SETTLES = 0.02
 """Probability per sample that the end of a process mode becomes final. Until then the end is a separate hypothesis, because often
 only the samples after a kick reveal it."""
 
-NEAR, FAR = 25.0, 100.0
-"""Squared distances, in variances of the sensor's noise: up to the first the plant starts where it is believed to be; about the
-second a start elsewhere becomes probable."""
+NEAR, FAR = 12.0, 100.0
+"""Squared distances, in variances of the mean of a quantity's first samples: up to the first the plant starts where it is believed
+to be; about the second a start elsewhere becomes probable."""
+
+AGREES = 9.0
+"""Squared distance, in its variance, up to which two samples agree."""
 
 SPREAD = 100.0
 """How much the variance of an unread state grows in a start elsewhere on which two samples agree: the plant may move as well. It
@@ -29,8 +32,9 @@ def make_settle(layout: Layout) -> Callable[..., None]:
     """Return the step function that settles a part of the end of a process mode, or moves it to the first samples.
 
     If a quantity's first samples are far from the belief, this hypothesis says that the plant starts elsewhere, as if it had been
-    kicked before. Its state goes to their median (of the two middle ones to the nearer), so that one faulty sensor of three has
-    no effect. That costs the probability of this sample in a wide prior, as a jump costs a sensor's offset.
+    kicked before. Its state goes to the most precise of them that agrees with their median (of the two middle ones the nearer), so
+    that one faulty sensor of three has no effect. That costs the probability of this sample in a wide prior, as a jump costs a
+    sensor's offset.
     """
     n, m, sensor, none, elsewhere = layout.n, layout.m, layout.sensor, layout.first, layout.elsewhere
     quantity, new, error = layout.quantity, layout.scratch, layout.scratch + layout.m
@@ -55,9 +59,17 @@ def make_settle(layout: Layout) -> Callable[..., None]:
                 count = count + memory[new + j]
         return count
 
-    def median(i, count, memory):
-        """Return the median deviation of these samples, of the two middle ones the smaller."""
-        low, high = 0.0 * count, 0.0 * count
+    def together(i, nominal, memory):
+        """Return the variance of the mean of these samples, weighted by their precisions."""
+        precision = LEAST + 0.0 * memory[new]
+        for j in range(m):
+            if quantity[j] == quantity[i]:
+                precision = precision + memory[new + j] / nominal[j, j]
+        return 1.0 / precision
+
+    def locate(i, count, nominal, memory):
+        """Write the deviation of the most precise of these samples that agrees with their median, and its variance."""
+        low, high, of_low, of_high = 0.0 * count, 0.0 * count, 0.0 * count, 0.0 * count
         for j in range(m):
             if quantity[j] == quantity[i]:
                 twice, mine = 0.0 * count, memory[error + j]
@@ -66,9 +78,21 @@ def make_settle(layout: Layout) -> Callable[..., None]:
                         less = memory[error + k] <= mine if k < j else memory[error + k] < mine
                         twice = twice + select(less, 2.0 * memory[new + k], 0.0)
                 counts = memory[new + j] > 0.5
-                low = select(both(counts, either(twice == count - 1.0, twice == count - 2.0)), mine, low)
-                high = select(both(counts, either(twice == count - 1.0, twice == count)), mine, high)
-        return select(absolute(low) <= absolute(high), low, high)
+                lower = both(counts, either(twice == count - 1.0, twice == count - 2.0))
+                upper = both(counts, either(twice == count - 1.0, twice == count))
+                low, of_low = select(lower, mine, low), select(lower, nominal[j, j], of_low)
+                high, of_high = select(upper, mine, high), select(upper, nominal[j, j], of_high)
+        nearer = absolute(low) <= absolute(high)
+        middle, of_middle = select(nearer, low, high), select(nearer, of_low, of_high)
+        far, variance = middle, of_middle
+        for j in range(m):
+            if quantity[j] == quantity[i]:
+                off = memory[error + j] - middle
+                agrees = off * off < AGREES * (nominal[j, j] + of_middle)
+                better = both(both(agrees, nominal[j, j] < variance), memory[new + j] > 0.5)
+                far = select(better, memory[error + j], far)
+                variance = select(better, nominal[j, j], variance)
+        memory[error + i], memory[new + i] = far, variance
 
     def settle(e, present, C, nominal, memory, settings, at):
         compare(e, present, C, nominal, memory, at)
@@ -76,11 +100,12 @@ def make_settle(layout: Layout) -> Callable[..., None]:
         spread = select(memory[at] < memory[none], SPREAD, 0.0)
         for i in range(m):
             if leads[i]:
-                count, variance = samples(i, memory), nominal[i, i]
-                far = median(i, count, memory)
+                count, variance = samples(i, memory), together(i, nominal, memory)
+                locate(i, count, nominal, memory)
+                far, of_one = memory[error + i], memory[new + i]
                 far = select(far * far > NEAR * variance, far, 0.0)
                 farthest = maximum(farthest, far * far / variance)
-                wide = wide * sqrt(variance / (variance + far * far))
+                wide = wide * select(far == 0.0, 1.0, sqrt(of_one / (of_one + far * far)))
                 memory[error + i] = far
                 spread = select(both(far != 0.0, count < 1.5), 0.0, spread)
         moved = select(farthest > 0.0, 1.0, 0.0)
@@ -95,7 +120,7 @@ def make_settle(layout: Layout) -> Callable[..., None]:
         for i in range(m):
             if leads[i]:
                 far, first = memory[error + i], elsewhere + i
-                widened = select(far == 0.0, 0.0, nominal[i, i])
+                widened = select(far == 0.0, 0.0, memory[new + i])
                 for a in range(n):
                     memory[z + a] = memory[z + a] + settings[first + a * m] * far
                     for b in range(n):

@@ -130,3 +130,23 @@ def test_both_engines_give_the_same_bits(same_bits):
 def test_the_doubt_is_a_probability_below_one(value):
     with pytest.raises(ModelError, match="start_doubt"):
         SwitchingPrecision(start_doubt=value)
+
+
+@pytest.mark.sampled(4)
+@pytest.mark.parametrize("std", [(0.3, 0.03, 0.8), (0.8, 0.3, 0.03), (0.3, 0.03), (0.3, 0.3, 0.3)])
+@pytest.mark.parametrize("position", [0.0, 0.2, 0.5, 1.0, 1.4, 5.0])
+def test_sensors_of_different_noise_say_it_together(position, std):
+    """Where a start was near for the noisy sensors but not for the precise one, all healthy ones were blamed to the end."""
+    C = np.array([[1.0, 0.0]] * len(std) + [[0.0, 1.0]])
+    noise = np.array([*std, 0.1])
+    of = LinearModel([[1.0, 0.02], [0.0, 0.995]], [[0.0], [0.02]], C, np.diag([1e-8, 1e-5]), noise**2, 0.02)
+    for seed in range(3):
+        rng, x = np.random.default_rng(seed), np.array([position, 0.0])
+        step = StateEstimator(of, SwitchingPrecision(), initial_covariance=1e-3).online()
+        blamed = []
+        for _ in range(500):
+            out = step(y=list(C @ x + noise * rng.normal(size=len(C))), u=[0.0])
+            blamed.append(out.fault_probability > 0.5)
+            x = of.A @ x + np.sqrt([1e-8, 1e-5]) * rng.normal(size=2)
+        assert np.mean(blamed, axis=0).max() < 0.02
+        assert abs(out.x_hat[0] - x[0]) < 0.1
