@@ -252,8 +252,8 @@ def diagnose(
     result = found(samples, raised)
     if nothing := result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
-    if result is not None and result.kind in {"unknown", *OF_FAULTS}:
-        blamed = _blamed_together(signals, samples, name)
+    if result is not None:
+        blamed = _blamed(signals, samples, name, together=result.kind in {"unknown", *OF_FAULTS})
         if blamed is not None:
             result = _beside(result, _without_blamed(model, samples, blamed, found))
     if nothing and result is not None and result.kind == "unknown":
@@ -288,18 +288,20 @@ def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def _blamed_together(signals: Mapping[str, Any], samples: Floats, name: str) -> NDArray[np.bool_] | None:
-    """Return which samples the controller blames, if it ever blames several sensors at once, but hardly ever all; else None.
+def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together: bool) -> NDArray[np.bool_] | None:
+    """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
     One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
+    `together`: several must be blamed at once; else one after the other is enough.
     """
     probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM
     if blamed.shape != np.shape(samples):
         return None
-    together = blamed.sum(axis=1)
-    every = together == blamed.shape[1]
-    return blamed if np.any((together > 1) & ~every) and np.mean(every) < RARELY else None
+    count = blamed.sum(axis=1)
+    every = count == blamed.shape[1]
+    several = np.any((count > 1) & ~every) if together else np.sum(blamed.mean(axis=0) > RARELY) > 1
+    return blamed if several and np.mean(every) < RARELY else None
 
 
 def _without_blamed(
