@@ -16,7 +16,7 @@ SECTIONS = "bayesftc.scenario._sections"
 FILES: dict[str, dict[str, list[Part]]] = {
     "scenario": {
         "[simulation]": [Part(f"{SECTIONS}.Simulation")],
-        "[plant]": [
+        "[plant], [known.plant]": [
             Part(f"{SECTIONS}.Wiring"),
             Part("bayesftc.scenario._fmu_files.Shipped", "An FMU"),
             Part("bayesftc.cosim.FMU", "An FMU", "path"),
@@ -27,7 +27,7 @@ FILES: dict[str, dict[str, list[Part]]] = {
             Part("bayesftc.cosim.StateSpace", "A linear system", "system feedthrough params method rtol atol"),
             Part("bayesftc.scenario._blocks.Ports", 'kind = "Subsystem", with blocks and connections'),
         ],
-        "[sensors]": [Part("bayesftc.cosim.Sensors", without="function")],
+        "[sensors], [known.sensors]": [Part("bayesftc.cosim.Sensors", without="function")],
         "[reference], [noise.NAME]": [Part(f"{SECTIONS}.SOURCES")],
         "[[faults]], [[input_faults.NAME]]": [Part("bayesftc.cosim.FAULTS")],
         "[model]": [
@@ -91,7 +91,9 @@ def keys(
     parts = [(f"{title}  {p.title}".rstrip(), p) for title, ps in FILES[file].items() for p in ps]
     tables = [(title, kind, cls, part.without) for title, part in parts for kind, cls in classes(part)]
     chosen = [
-        t for t in tables if section is None or section in section_words(t[0]) or section in (t[1], t[2].__name__)
+        t
+        for t in tables
+        if section is None or set(section.split(".")) <= set(section_words(t[0])) or section in (t[1], t[2].__name__)
     ]
     if not chosen:
         names = {
