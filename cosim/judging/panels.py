@@ -239,7 +239,11 @@ def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> No
         axes[-1].set_xlim(float(time[0]), float(time[-1]))
     for axis in axes:
         _write_exponents(axis)
-    axes[0].figure.align_ylabels(axes)  # type: ignore[union-attr]
+    figure: Any = axes[0].figure
+    figure.align_ylabels(axes)
+    figure.get_layout_engine().execute(
+        figure
+    )  # the next one knows how wide the numbers are beside which labels are aligned
 
 
 def _tick_in(axis: Axes, unit: float) -> None:

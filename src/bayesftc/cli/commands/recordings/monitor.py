@@ -45,6 +45,7 @@ from bayesftc.monitoring import (
     suspect_model,
 )
 from bayesftc.monitoring.csv import Tables
+from bayesftc.monitoring.fit.doubtful import lasting_errors
 
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
@@ -193,11 +194,18 @@ def monitor(
 
 
 def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspicion, model: Path) -> str:
-    """Return a sentence about the fit of a better model; empty for a model with inputs, which is not fitted."""
-    if fitted is not None and suspicion.setting == "motion":
-        return f"Change it in {model} and give --model {model} without --fit."
+    """Return sentences about the fit of a better model; empty for a model with inputs, which is not fitted."""
     if fitted is not None:
-        return "Fit a stretch in which the sensors are healthy, with --from and --to."
+        errors = lasting_errors(fitted.model)
+        lasting = [name for name in suspicion.sensors if errors[name]]
+        healthy = "a stretch in which the sensors are healthy, with --from and --to"
+        if suspicion.setting != "motion":
+            return f"Fit {healthy}."
+        change = f"Change it in {model} and give --model {model} without --fit."
+        if 0 < len(lasting) < len(suspicion.sensors):
+            who = " and ".join(lasting)
+            return f"{change} But if {who} failed in this recording, the model now expects the fault as lasting errors: fit {healthy}."
+        return change
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
 
