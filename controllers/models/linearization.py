@@ -25,7 +25,7 @@ from bayesftc.controllers.models.names import (
     sensors_of,
     spread,
 )
-from bayesftc.controllers.models.pulse_responses import realise
+from bayesftc.controllers.models.pulse_responses import SUBSTEPS, realise
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
@@ -43,6 +43,9 @@ _STEADY = 1e-3
 
 _NEGLIGIBLE = 1e-12
 """An effect of a control below this, relative to the states' size or 1, counts as rounding."""
+
+_EXPLODING = 10.0
+"""Growth of a mode in a step from which on the plant's integration probably diverges."""
 
 _QUANTITIES = {
     "A": "The matrix A",
@@ -249,8 +252,14 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
         With the name of the control.
     """
     size = max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (linear.x, linear.y)))
+    grows = float(np.abs(np.linalg.eigvals(linear.A)).max(initial=0.0))
     for j in linear.columns(actuated):
         if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
+            if grows > _EXPLODING:
+                raise ModelError(
+                    f"The plant's response to {linear.inputs[j]} grows {grows:.3g}-fold in each step of {show(linear.step)} s. "
+                    f"Its integration probably diverges: give a smaller dt; {SUBSTEPS}."
+                )
             raise ModelError(
                 f"{linear.inputs[j]} has no effect about the operating point, so it cannot control the plant. Use another input, "
                 "or an operating point at which it has an effect (start values, or at=...)."

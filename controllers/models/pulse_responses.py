@@ -22,6 +22,9 @@ from bayesftc.cosim.fmi.reading.archive import open_archive
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
+SUBSTEPS = "if the FMU integrates in substeps of its own, shorter ones (max_substep of a shipped FMU)"
+"""What else to make smaller where the integration of a plant diverges."""
+
 SAMPLES = 100
 """Samples of each response; half of them are rows of the Hankel matrix."""
 
@@ -340,7 +343,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
     if best is None:
         raise ModelError(
             f"The plant fails in every experiment from its steady state, in steps of {show(plant.step)} s"
-            f"{_unusual(plant)}. Give a smaller dt (in seconds), other inputs (at=...) or start values."
+            f"{_unusual(plant)}. Give a smaller dt (in seconds), other inputs (at=...) or start values; {SUBSTEPS}."
         )
     if bend > BENDS:
         warn_user(

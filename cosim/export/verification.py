@@ -275,7 +275,12 @@ def _in_loop(deviations: Sequence[Deviation]) -> str:
     if finite:
         worst = max(finite, key=_relative)
         at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
-        parts.append(f"largest difference {worst.largest:.3g}{at}")
+        share = (
+            f", which is {worst.relative:.2g} of its largest value"
+            if worst.largest and isfinite(worst.relative)
+            else ""
+        )
+        parts.append(f"largest difference {worst.largest:.3g}{at}{share}")
     if len(finite) < len(deviations):
         parts.append(_difference(next(each for each in deviations if each not in finite)))
     return "; ".join(parts)

@@ -534,12 +534,14 @@ def _missed(signals: LoopSignals, index: int) -> Flags:
 
 
 def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
-    """Return the sensor with most false alarms, and a note on it; None if it has few."""
+    """Return the sensor with most false alarms, and a note on it and on others with many; None if it has few."""
     rates = {sensor.index: false_alarm_rate(sensor) for sensor in signals.sensors}
     worst = max(rates, key=lambda i: np.nan_to_num(rates[i]), default=None)
     if worst is None or not rates[worst] >= MANY_FALSE_ALARMS:
         return None
-    return worst, f"{signals.sensor_name(worst)} is blamed for {rates[worst]:.0%} of its fault-free time"
+    others = [i for i, rate in rates.items() if i != worst and rate >= MANY_FALSE_ALARMS]
+    also = "".join(f", {signals.sensor_name(i)} for {rates[i]:.0%}" for i in others)
+    return worst, f"{signals.sensor_name(worst)} is blamed for {rates[worst]:.0%} of its fault-free time{also}"
 
 
 def advice_on(signals: LoopSignals, sensor: int) -> str:

@@ -258,15 +258,19 @@ def explain(failure: Failure, run: Run) -> str:
         value = run.memory[place]
         name = run.schedule.output_name(failure.node, place - failure.outputs)
         h = show(run.schedule.step * node.every)
+        steps = f"the step size of {h} s"
+        variables = getattr(getattr(node.block, "description", None), "variables", ())
+        if any(v.name == "max_substep" for v in variables):  # of the shipped plants
+            steps += ", and the substeps in which the FMU integrates (max_substep)"
         came = f"The run stopped {when}: {name} came out {'NaN' if np.isnan(value) else 'infinite'}."
         origin = run.schedule.origin_of_nan(failure.node, run.memory) if np.isnan(value) else None
         if origin is not None:
             return (
                 f"{came} The NaN may come from {origin}, which is NaN, too: a missing sample is NaN, so that a block that reads "
                 f"a sensor must expect NaN, and for example hold its last output. If not, check the plant's parameters and "
-                f"the step size of {h} s. The signals up to the step before are kept."
+                f"{steps}. The signals up to the step before are kept."
             )
-        return f"{came} Check the plant's parameters and the step size of {h} s; the signals up to the step before are kept."
+        return f"{came} Check the plant's parameters and {steps}; the signals up to the step before are kept."
     external = run.instances.get(failure.node)
     detail = external.explain(failure.status) if external is not None else ""
     run.ended = external is not None and external.has_ended

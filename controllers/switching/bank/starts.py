@@ -16,8 +16,8 @@ SETTLES = 0.02
 only the samples after a kick reveal it."""
 
 NEAR, FAR = 12.0, 100.0
-"""Squared distances, in variances of the mean of a quantity's first samples: up to the first the plant starts where it is believed
-to be; about the second a start elsewhere becomes probable."""
+"""Squared distances, in variances of the mean of a quantity's first samples: up to the first the plant starts where it is
+believed to be; about the second a start elsewhere becomes probable."""
 
 AGREES = 9.0
 """Squared distance, in its variance, up to which two samples agree."""
@@ -32,9 +32,9 @@ def make_settle(layout: Layout) -> Callable[..., None]:
     """Return the step function that settles a part of the end of a process mode, or moves it to the first samples.
 
     If a quantity's first samples are far from the belief, this hypothesis says that the plant starts elsewhere, as if it had been
-    kicked before. Its state goes to the most precise of them that agrees with their median (of the two middle ones the nearer), so
-    that one faulty sensor of three has no effect. That costs the probability of this sample in a wide prior, as a jump costs a
-    sensor's offset.
+    kicked before. Its state goes to the most precise of them that agrees with their median (of the two middle ones the nearer),
+    so that one faulty sensor of three has no effect. That costs the probability of this sample in a wide prior, as a jump costs
+    a sensor's offset.
     """
     n, m, sensor, none, elsewhere = layout.n, layout.m, layout.sensor, layout.first, layout.elsewhere
     quantity, new, error = layout.quantity, layout.scratch, layout.scratch + layout.m

@@ -203,8 +203,8 @@ def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspic
             return f"Fit {healthy}."
         change = f"Change it in {model} and give --model {model} without --fit."
         if 0 < len(lasting) < len(suspicion.sensors):
-            who = " and ".join(lasting)
-            return f"{change} But if {who} failed in this recording, the model now expects the fault as lasting errors: fit {healthy}."
+            failed = f"if {' and '.join(lasting)} failed in this recording, the model now expects the fault as lasting errors"
+            return f"{change} But {failed}: fit {healthy}."
         return change
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
