@@ -264,22 +264,21 @@ def _difference(worst: Deviation) -> str:
         )
     if not isfinite(worst.relative):
         return f"{worst.signal} is always 0 in the diagram, but differs from it by {worst.largest:.2g} with the FMU"
-    times = " times" if worst.relative > 1.0 else " of"
-    return f"{worst.signal} differs by {worst.relative:.2g}{times} its largest value"
+    return f"{worst.signal} differs by {_share(worst)}"
+
+
+def _share(worst: Deviation) -> str:
+    return f"{worst.relative:.2g}{' times' if worst.relative > 1.0 else ' of'} its largest value"
 
 
 def _in_loop(deviations: Sequence[Deviation]) -> str:
-    """Return the largest difference that is a number, and the first signal that is none in one run."""
+    """Return the difference that is the largest share of its signal, and the first signal that is no number in one run."""
     finite = [each for each in deviations if isfinite(each.largest)]
     parts = []
     if finite:
         worst = max(finite, key=_relative)
         at = "" if worst.time is None else f", of {worst.signal} at t = {worst.time:g} s"
-        share = (
-            f", which is {worst.relative:.2g} of its largest value"
-            if worst.largest and isfinite(worst.relative)
-            else ""
-        )
+        share = f" ({_share(worst)})" if worst.largest and isfinite(worst.relative) else ""
         parts.append(f"largest difference {worst.largest:.3g}{at}{share}")
     if len(finite) < len(deviations):
         parts.append(_difference(next(each for each in deviations if each not in finite)))

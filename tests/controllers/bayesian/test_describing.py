@@ -153,7 +153,7 @@ def test_the_control_at_the_operating_point_is_named():
         plant, measured="level", actuated="pump", sensors=2, dt=0.1, at={"pump": 2.0}, **settings
     ).describe()
     assert "Expected process noise in each step, as standard deviations: 0.3 on the control.\n" in text
-    assert "every 0.1 s, about an operating point at which the control is 2.\n" in text
+    assert "every 0.1 s, about an operating point at which the control is 2 and h = 1.\n" in text
 
 
 def test_a_mode_that_is_not_damped_and_has_no_goal_leaves_the_accuracy_of_the_others():

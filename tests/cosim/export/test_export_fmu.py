@@ -332,8 +332,8 @@ def test_the_verdict_names_the_control_first():
         "law.fmu does NOT do what law does: u differs by 0.5 of its largest value, and 2 more signals differ."
     )
     assert (
-        "In a run with the FMU in place of these blocks: largest difference 8, of P at t = 0 s; at t = 0 s, "
-        "size is NaN or infinite" in repr(found)
+        "In a run with the FMU in place of these blocks: largest difference 8, of P at t = 0 s (8 times its largest value); "
+        "at t = 0 s, size is NaN or infinite" in repr(found)
     )
 
 
