@@ -120,11 +120,11 @@ def design(
         without offset. Of several sensors of a quantity, one needs to be without, unless another quantity shows what they share
         (gyros beside a compass). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
-        Inputs at which process noise acts, and its standard deviations. It is white: a new value in each sample. A disturbance
-        that lasts, as a gust, is a state of the plant that such noise drives. By default each control has noise of 5 % of half
-        the range between its limits, or of `acceptable_control`. Noise that is given replaces that: name a control as well if it
-        has some. State it if you know better: if the plant moves far less at random, equal sensors seem unequal. `describe()`
-        prints it.
+        Inputs at which process noise acts, and its standard deviations; by default each control, with 5 % of half the range
+        between its limits, or of `acceptable_control`. The noise is white: a new value in each sample. A disturbance that lasts,
+        as a gust, is a state of the plant that such noise drives. Noise that is given replaces the default: name a control as
+        well if it has some. State it if you know better: if the plant moves far less at random, the belief follows the noise of
+        the sensors and is less accurate than its variance says, and equal sensors seem unequal. `describe()` prints the noise.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
         model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of

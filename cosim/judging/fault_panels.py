@@ -25,6 +25,9 @@ Marks = dict[int, dict[str, Flags]]
 
 IGNORED = 100.0
 """Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
+ENDS = 3.0
+"""Length of a bar that must be seen beside a word on it, in letters: a bar that the word hides looks like another kind."""
+
 WORSE = 10.0
 """Factor above a sensor's own smallest one, which it must also exceed: a coarse sensor beside a fine one is not ignored."""
 SMALLEST = 0.01
@@ -185,7 +188,7 @@ def _name_bars(
     for word in dict.fromkeys(word for *_, word in bars):
         width = letter * (len(word) + 1)
         longest, *rest = sorted(((a, b) for a, b, of in bars if of == word), key=lambda bar: bar[0] - bar[1])
-        fitting = [(a, b) for a, b in [longest, *rest[: 0 if once else None]] if b - a > width]
+        fitting = [(a, b) for a, b in [longest, *rest[: 0 if once else None]] if b - a > width + ENDS * letter]
         for a, b in fitting:
             _write(axis, 0.5 * (a + b), y, word, colour, transform)
         if fitting or longest[1] - longest[0] < visible:
