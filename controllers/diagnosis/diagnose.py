@@ -292,7 +292,8 @@ def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together:
     """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
     One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
-    `together`: several must be blamed at once; else one after the other is enough.
+    They are blamed one after the other while another one hardly ever is: a wrong model makes a controller blame all. Or some
+    are blamed `together`, if that is enough.
     """
     probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM
@@ -300,7 +301,8 @@ def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together:
         return None
     count = blamed.sum(axis=1)
     every = count == blamed.shape[1]
-    several = np.any((count > 1) & ~every) if together else np.sum(blamed.mean(axis=0) > RARELY) > 1
+    often = blamed.mean(axis=0) > RARELY
+    several = 1 < np.sum(often) < len(often) or (together and np.any((count > 1) & ~every))
     return blamed if several and np.mean(every) < RARELY else None
 
 

@@ -1221,3 +1221,25 @@ def test_a_car_far_from_its_point_is_nonlinear_first():
         controllers.diagnose(result, controller).kind for result in run(case, LEARNERS["fixed"], range(5000, 5003))
     ]
     assert kinds == ["nonlinear"] * 3
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):
+    """The model is that of the plant; the frozen encoder is healthy again when the other one begins to drift."""
+    motor = control.ss(
+        [[0, 1], [0, -6.5]], [[0], [125.0]], np.eye(2), 0, inputs=["voltage"], outputs=["angle", "speed"]
+    )
+    std, measured = [0.002, 0.1], ["angle", "speed"]
+    controller = controllers.design(
+        motor, measured=measured, actuated="voltage", goal="angle", sensors=[2, 1], sensor_std=std, dt=0.002,
+        acceptable_error=0.02, acceptable_control=6.0, noise={"voltage": 0.02}, u_min=-12.0, u_max=12.0,
+    )  # fmt: skip
+    faults = [cosim.Freeze(sensor=0, start=2.0, stop=3.5), cosim.Drift(sensor=1, start=4.5, slope=0.1)]
+    loop = cosim.closed_loop(
+        motor, controller, control="voltage", measured=measured, sensors=cosim.Sensors([2, 1], std), faults=faults,
+        reference=cosim.Sine(0.5, 2.0),
+    )  # fmt: skip
+    finding = controllers.diagnose(loop.simulate(8.0, seed=seed), loop)
+    assert (finding.kind, finding.others) == ("sensors", ("onset",))
+    assert finding.sentence.startswith("The controller blames sensors 0 and 1. Without the samples for which it blames")
