@@ -22,7 +22,7 @@ from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
 
-_SHORT = 20_000
+_SHORT = 200
 """Most steps for which the loop around an FMU is faster in Python than its compilation."""
 
 
