@@ -792,6 +792,7 @@ def test_several_files_and_folders(tmp_path):
         load_monitor(file).read([])
 
 
+@pytest.mark.slow
 def test_many_bursts_have_a_note_and_a_notebook_shows_what_was_found():
     """They are no fault, but a sensor of which a tenth of the samples was wrong had not a word."""
     rng, t = np.random.default_rng(0), 0.1 * np.arange(2000)
@@ -950,6 +951,7 @@ def test_a_rest_is_of_all_sensors_and_of_several_steps():
     assert held_back[:, 1].tolist() == [0, 1, 1, 1, 1, 1, 1, 1, 8, 9, 10]
 
 
+@pytest.mark.slow
 def test_samples_half_a_minute_apart_are_watched_with_what_nobody_gave():
     rng = np.random.default_rng(0)
     t = 30.0 * np.arange(2000)

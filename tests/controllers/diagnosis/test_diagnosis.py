@@ -80,7 +80,7 @@ def test_a_right_model_is_not_blamed_where_noise_is_stated_too_large(stated, tru
     assert stated < 3000 or kinds[1] == "dt"  # with little motion a wrong inductance does not show
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("heading: biased", "offset"), ("pendulum: noisy", "noise")])
 def test_less_noise_of_all_states_hides_no_cause(name, kind):
     """Fitted to the run, the process noise seemed smaller, and more of it at one state the cause, which is none to name."""
@@ -88,6 +88,7 @@ def test_less_noise_of_all_states_hides_no_cause(name, kind):
     assert finding.kind == kind
 
 
+@pytest.mark.slow
 def test_more_noise_is_not_advised_where_it_is_stated_too_large():
     """One factor for all states makes that of the second one too small; added to that, it was less than the model states."""
     system = control.ss([[-1, 0], [0, -0.2]], np.eye(2), np.eye(2), 0, inputs=["u", "v"], outputs=["y", "z"])
@@ -234,7 +235,7 @@ def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     assert "process_covariance" in finding.sentence
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [None, controllers.SignalNames(["force"], ["x", "x"], ["x", "v"])])
 def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_other_dynamics(names):
     """More noise of a disturbance was no explanation, so that other dynamics or nonlinear terms were the best one."""
@@ -257,7 +258,7 @@ def test_a_load_that_wanders_faster_than_the_disturbance_of_the_model_is_no_othe
     assert diagnose_recording(plant.with_disturbance(larger), y, u) is None
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("mean", [0.0, -3.0])
 def test_a_load_that_changes_all_the_time_is_no_other_dynamics_of_a_model_without_one(mean):
     """Without this explanation the best one was noise of the speed, or in a short beginning of the run a limit or a sign."""
@@ -308,7 +309,7 @@ def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
     assert finding(5.0 * share, disturbance=estimated) is None
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "reference"),
     [*product([2.0, 3.0, 5.0], [cosim.Sine(1.0, 2.0)]), *product([0.5, 1.0], [cosim.Sine(0.7, 6.0)])],
@@ -489,6 +490,7 @@ def test_an_actuator_that_is_stuck_is_named_with_its_control(end, recorded):
     assert ("actuator_modes=[controllers.StuckActuator()]" in finding.sentence) == (not recorded)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("weak", [True, False])
 def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_change(weak):
     model = controllers.LinearModel([[0.95]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0)
@@ -951,6 +953,7 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
 
 
+@pytest.mark.slow
 def test_a_leak_is_found_beside_a_slow_quantity_that_some_sensors_do_not_see():
     """A tank with three sensors of its level and two of its slow temperature: a set with the level alone has its say, too."""
     control = pytest.importorskip("control")
@@ -1066,7 +1069,7 @@ def pitching(gust=1.0):
     )
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("gust", [6.0, 1.0])
 def test_strong_gusts_are_noise_and_no_other_dynamics(gust):
     """The filter of such a plant has no steady state without a little more noise, and the elevator no error at all."""
@@ -1192,7 +1195,7 @@ def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors
     assert "sensors" not in {finding.kind, *finding.others}
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [4, 3])
 def test_a_wrong_model_beside_a_faulty_sensor_is_no_fault_of_several_sensors(count):
     """A gain of .4 and one biased sensor: the healthy ones alone speak against the model."""
@@ -1223,7 +1226,7 @@ def test_a_car_far_from_its_point_is_nonlinear_first():
     assert kinds == ["nonlinear"] * 3
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):
     """The model is that of the plant; the frozen encoder is healthy again when the other one begins to drift."""

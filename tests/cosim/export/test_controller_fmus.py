@@ -118,6 +118,7 @@ def test_elements_in_another_order_stay_numbers(tmp_path, c_compiler):
         cosim.FMU(path, arrays=1)
 
 
+@pytest.mark.slow
 def test_a_loop_with_the_fmu_has_the_same_findings_and_summary(tmp_path, c_compiler):
     """It called faults "kind 3" and had no belief."""
     controller = controllers.BayesianController(MODEL, initial_mean=20.0)

@@ -330,6 +330,7 @@ def test_parameters_of_the_fmu_stay():
     assert replace(fitted.plant).start_value("v0") == 3.0
 
 
+@pytest.mark.slow
 def test_several_inputs_each_with_its_column():
     diagram, rng = cosim.Diagram("1/100"), np.random.default_rng(0)
     arm = diagram.add(cosim.FMU(fmus.path("TwoLinkArm"), parameters={"m2": 1.2}), "arm")

@@ -72,6 +72,7 @@ def test_campaigns_and_comparisons_have_it(loop):
     assert "ahead" in [axis.get_ylabel() for axis in compared.plot().axes]
 
 
+@pytest.mark.slow
 def test_an_exported_controller_says_what_its_goal_is_for(loop, tmp_path):
     path = cosim.export_fmu(loop, tmp_path / "controller.fmu", blocks="controller")
     roles = find_roles(looped(cosim.FMU(path)))
