@@ -283,8 +283,8 @@ class UnbiasedActiveInference(Block):
         }
         watched = self.watched_model
         if watched is not None:
-            watching, constants, spaces = consistency(watched, self.initial_mean)
-            state, parameters, sizes = {**state, **watching}, parameters | constants, sizes | spaces
+            check = consistency(watched, self.initial_mean)
+            state, parameters, sizes = state | check.state, parameters | check.parameters, sizes | check.scratch
         scratch = {**{name: np.zeros(shape) for name, shape in sizes.items()}, **sensing.scratch}
         ports = (port.name for port in (*self.inputs, *self._common_outputs))
         names = ["t", "k", "outputs", *ports, *state, *parameters, *scratch]

@@ -10,7 +10,7 @@ from bayesftc.controllers.active_inference import curvature as _curvature, desce
 from bayesftc.controllers.estimation import absurd as _absurd, consistency as _consistency
 from bayesftc.controllers.estimation.absurd import Reading, Screen
 from bayesftc.controllers.estimation.belief import SAMPLE
-from bayesftc.controllers.estimation.consistency import OBSERVER_BANK
+from bayesftc.controllers.estimation.consistency import MOTION, OBSERVER_BANK
 from bayesftc.controllers.precision.base import NAN, Trust
 from bayesftc.cosim.ops import select
 from bayesftc.cosim.stepping.records import named_alike, written
@@ -50,8 +50,8 @@ place(mean, 0, x_hat)
 """
 
 _WATCH = """
-check_consistency(samples, x_hat, G, bank)
-follow(applied, B, bank)
+check_consistency(samples, x_hat, G, nominal, bank)
+follow(applied, B, bank, motion)
 """
 
 _DESCENT_BY_GRADIENT = """
@@ -84,6 +84,7 @@ _RECORDS = {
     "trust": named_alike(Trust),
     "screen": named_alike(Screen),
     "bank": OBSERVER_BANK,
+    "motion": MOTION,
 }
 
 FUNCTIONS: dict[str, Any] = {
@@ -128,7 +129,7 @@ def step_lines(calls: Mapping[str, str], *, descends: bool, watches: bool) -> li
         Whether the model is checked.
     """
     descent = (_DESCENT_BY_GRADIENT if descends else _DESCENT_OF_THE_BELIEF).format_map(calls).strip("\n")
-    records = {name: record for name, record in _RECORDS.items() if watches or name != "bank"}
+    records = {name: record for name, record in _RECORDS.items() if watches or name not in ("bank", "motion")}
     text = _STEP.format(
         records="\n".join(f"{name} = {written(record)}" for name, record in records.items()),
         measure=calls["measure"],

@@ -7,12 +7,12 @@ linearised at the initial mean.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.minimise import Ahead
-from bayesftc.controllers.estimation.consistency import consistency, correct, forget_start
+from bayesftc.controllers.estimation.consistency import Check, check_of, correct, forget_start
 from bayesftc.controllers.estimation.filter import Belief
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.ops import minimum
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats, Kernel
 
 
-def extended_consistency(
-    start: LinearModel, mean: Floats, covariance: Floats
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, tuple[int, ...]]]:
-    """Return what `consistency` does, for the model linearised at the initial mean, and for the initial belief."""
+def extended_consistency(start: LinearModel, mean: Floats, covariance: Floats) -> Check:
+    """Return the arrays of the check for the model linearised at the initial mean, and for the initial belief."""
     bank = observers(start, groups=start.alike)  # what is proportional here is not elsewhere
-    state, parameters, sizes = consistency(start, mean, bank)
-    return state | {"seer_covariance": np.tile(covariance, (len(state["seer_mean"]), 1, 1))}, parameters, sizes
+    check = check_of(bank, start.sensors, start.states, mean)
+    return check._replace(
+        state=check.state | {"seer_covariance": np.tile(covariance, (len(check.state["seer_mean"]), 1, 1))}
+    )
 
 
 @cache
@@ -52,7 +52,7 @@ def make_watch(g: Kernel, g_jacobian: Kernel, predict: Kernel) -> Kernel:
             g_jacobian(mean, ahead.C)
             for i in range(samples.shape[0]):
                 bank.error[i] = samples[i] - ahead.reading[i]
-            least = minimum(least, correct(s, est.belief.x_hat, ahead.C, bank))
+            least = minimum(least, correct(s, est.belief.x_hat, ahead.C, est.sample.nominal, bank))
             for i in range(n):
                 point[i] = mean[i]
                 for j in range(n):

@@ -385,14 +385,14 @@ class NonlinearBayesianController(BayesianBlock):
         prior, with_posterior = self._prior_precision(), self.posterior_outputs
         start = self._start()
         screens, screen_parameters = screening(self, start)
-        watching, constants, spaces = extended_consistency(
+        check = extended_consistency(
             start, np.asarray(self.initial_mean, float), np.asarray(self.initial_covariance, float)
         )
         parameters = (
             self._shared_parameters(step)
             | screen_parameters
             | self._densities()
-            | constants
+            | check.parameters
             | {
                 "prior_root": np.linalg.cholesky(prior).T if prior.any() else prior,
                 "control_mean": self.control_mean,
@@ -418,7 +418,7 @@ class NonlinearBayesianController(BayesianBlock):
             "slopes": (SLOPES, equations, unknowns),
             "squares": (SQUARES, unknowns, unknowns),
             "vectors": (VECTORS, unknowns),
-            **spaces,
+            **check.scratch,
         }
         state = {
             "mean": self.initial_mean,
@@ -426,7 +426,7 @@ class NonlinearBayesianController(BayesianBlock):
             "applied": self.control_before,
             "memory": learner.memory,
             **screens,
-            **watching,
+            **check.state,
         }
         scratch = {name: np.zeros(shape) for name, shape in sizes.items()}
         return Definition(kernel, state=state, parameters=parameters, scratch=scratch, records=RECORDS)

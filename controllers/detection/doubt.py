@@ -38,8 +38,8 @@ def doubt(report: CalibrationReport, sensors: Sequence[str] | None = None) -> st
     worst = max(range(len(report.sensors)), key=lambda i: _loss(report.sensors[i]))
     name = f"{worst} ({sensors[worst]})" if sensors else f"{worst}"
     return (
-        f"Do not rely on these probabilities: {', and '.join(reasons)}. The worst are those of sensor {name}: their mean is "
-        f"{_mean(report.sensors[worst].predicted, report.sensors[worst]):.2g}, and it is in fault in "
+        f"Do not rely on these probabilities for such faults: {', and '.join(reasons)}. The worst are those of sensor {name}: "
+        f"their mean is {_mean(report.sensors[worst].predicted, report.sensors[worst]):.2g}, and it is in fault in "
         f"{_mean(report.sensors[worst].observed, report.sensors[worst]):.1%} of its samples."
     )
 

@@ -91,7 +91,7 @@ MUCH = 0.8
 A force that wanders, and to which the controls react, looks like other dynamics, which have more parameters than the noise."""
 
 RARELY = 0.01
-"""Share of the samples in which all sensors may be blamed while some are said to be faulty, and the model right."""
+"""Share of the samples up to which a sensor counts as never blamed, and in which all may be while some are said to be faulty."""
 
 MOSTLY = 0.5
 """Share of a run from which on a blamed sensor is left out of all of it."""
@@ -120,8 +120,8 @@ class ModelFinding:
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only where another kind would count without
         it, or `model_suspect` was raised),
-        ``"sensors"`` (one or several of them failed: nothing explains the run, or only offsets or noise, which are then among
-        the `others`, and without the samples for which the controller blames them nothing speaks against the model),
+        ``"sensors"`` (one or several of them failed: without the samples for which the controller blames them nothing speaks
+        against the model; what explains the run if they are healthy is among the `others`),
         ``"start"`` (the belief starts where the samples exclude it),
         ``"unknown"``.
     sentence : str
@@ -256,7 +256,7 @@ def diagnose(
         blamed = _blamed(signals, samples, name, together=result.kind in {"unknown", *OF_FAULTS})
         if blamed is not None:
             result = _beside(result, _without_blamed(model, samples, blamed, found))
-    if nothing and result is not None and result.kind == "unknown":
+    if result is None or (nothing and result.kind == "unknown"):
         started = wrong_start(model, controller, samples, units[0])
         result = result if started is None else ModelFinding("start", *started)
     if result is None or roles is None:
@@ -292,8 +292,8 @@ def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together:
     """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
     One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
-    They are blamed one after the other while another one hardly ever is: a wrong model makes a controller blame all. Or some
-    are blamed `together`, if that is enough.
+    They are blamed while another one hardly ever is, mostly faults of these sensors, or at once and `together`, if that is
+    enough, whichever the others. Whether they are all that is wrong, `_without_blamed` decides.
     """
     probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM
@@ -311,7 +311,7 @@ def _without_blamed(
 ) -> ModelFinding | None:
     """Return the finding without the samples of the sensors that are blamed for long, or else of all; None if it is no better.
 
-    Sensors that are blamed for a short time beside one that is blamed for long may be healthy: they are not named.
+    Sensors that are blamed for a moment beside one that is blamed for long may be healthy: they are not named.
     """
     shares = blamed.mean(axis=0)
     named = np.flatnonzero(shares > OFTEN * shares.max()).tolist()

@@ -25,6 +25,8 @@ ALIKE = "All sensors disagree with the model in the same way"
 
 APART = "By the model, sensors of different quantities disagree"
 
+UNLIKE = "The sensors disagree with the model, each in its own way"
+
 AS_LIKELY, AS_MUCH = "nearly as likely by this run", "which explains nearly as much of this run"
 """What is said of another explanation: by its likelihood, or by what it explains: of noise, which has few parameters, and of an
 effect that is other all the time instead of lost."""
@@ -45,9 +47,10 @@ UNEQUAL = 3.0
 """Standard deviations of a sensor from which on offsets of one quantity are no common one."""
 
 DIFFERENT = (
-    " Offsets of one quantity that differ so much are more likely faults of single sensors: look at these first."
+    "Offsets of one quantity that differ so much are more likely faults of single sensors, or errors of the model that make the "
+    "controller follow these: look at both first. If they are offsets, s"
 )
-"""What to think of such offsets."""
+"""What to think of such offsets before they are believed."""
 
 SEVERAL = (
     " All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
@@ -94,6 +97,8 @@ def sentence(
     for each, its in found:
         said.setdefault(words[each](its, model) if moved or each == "offset" else UNMOVED, each)
     which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
+    if kind == "offset" and _unequal(values, model):
+        which = UNLIKE
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
     whole = {"noise", *(("gain", "sign") if kind == "loss" else ())}
@@ -156,7 +161,8 @@ def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner
     cause = (
         f"Either {they} blamed because of it."
         if most or not partner
-        else "A fault of one sensor beside others of its quantity does not contradict a model: the model is probably wrong."
+        else "One faulty sensor beside others of its quantity would leave these in agreement with a right model: the model is "
+        "probably wrong, or others have failed for a time as well."
     )
     return (
         f"The controller blames {who}. Without the samples for which it blames {which}, there is not enough evidence against the "
@@ -265,13 +271,18 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
-    std_of = np.sqrt(np.diag(model.matrix("sensor_covariance")))
-    apart = any(np.ptp([values[i] for i in group]) > UNEQUAL * max(std_of[i] for i in group) for group in groups)
-    doubts = (SEVERAL if len(groups) > 1 and controlled else "") + (DIFFERENT if apart else "")
+    doubt = SEVERAL if len(groups) > 1 and controlled else ""
     return (
-        f"{each}. Subtract this from the readings, or estimate it: LinearModel.with_sensor_errors(std={std}, time_constant=1e5, "
-        f"sensors={sensors}), or [[errors]] in a monitor's model file.{doubts}"
+        f"{each}. {DIFFERENT if _unequal(values, model) else 'S'}ubtract them from the readings, or estimate them: "
+        f"LinearModel.with_sensor_errors(std={std}, time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model "
+        f"file.{doubt}"
     )
+
+
+def _unequal(values: Sequence[float], model: LinearModel) -> bool:
+    """Return whether offsets of the sensors of one quantity differ too much to be a common one."""
+    std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+    return any(np.ptp([values[i] for i in g]) > UNEQUAL * max(std[i] for i in g) for g in model.alike)
 
 
 def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:

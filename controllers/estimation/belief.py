@@ -10,7 +10,9 @@ import numpy as np
 
 from bayesftc.controllers.estimation.absurd import Reading, Screen, mark_absurd, screening
 from bayesftc.controllers.estimation.consistency import (
+    MOTION,
     OBSERVER_BANK,
+    Motion,
     ObserverBank,
     check_consistency,
     consistency,
@@ -73,6 +75,7 @@ class Estimation(NamedTuple):
     learning: Learning
     screen: Screen
     bank: ObserverBank
+    motion: Motion
     space: UpdateSpace
     largest: Floats
     reach: Floats
@@ -91,6 +94,7 @@ ESTIMATION = named_alike(
     learning=named_alike(Learning),
     screen=named_alike(Screen),
     bank=OBSERVER_BANK,
+    motion=MOTION,
     space=named_alike(UpdateSpace, L="chol"),
 )
 """Names of these arrays among the ports, state, parameters and scratch space of a block."""
@@ -133,7 +137,7 @@ def make_estimate(
         mark_absurd(est.screen, est.trust.fault_probability)
         report(est.learning.memory, est.learning.settings, est.sample.nominal, first, outputs)
         alarm(est.screen.doubts, outputs)
-        check_consistency(est.sample.y, est.belief.x_hat, est.model.C, est.bank)
+        check_consistency(est.sample.y, est.belief.x_hat, est.model.C, est.sample.nominal, est.bank)
 
     return estimate
 
@@ -148,7 +152,7 @@ def look_ahead(u, est):
 def advance(est):
     """Predict the belief at the next step, with the control that is applied."""
     actuate(est.actuators)
-    follow(est.actuators.effective, est.model.B, est.bank)
+    follow(est.actuators.effective, est.model.B, est.bank, est.motion)
     predict(est.belief, est.actuators.effective, est.model, est.largest, est.space.J)
 
 
@@ -172,7 +176,7 @@ def estimation(
     """
     n, p, m = model.states, model.controls, model.sensors
     doubts, screen_parameters = screening(block, model)
-    watching, constants, sizes = consistency(model, block.initial_mean)
+    check = consistency(model, block.initial_mean)
     scratch = {
         "expected": (m,),
         "samples": (m,),
@@ -191,7 +195,7 @@ def estimation(
         "JP": (n, n),
         "effective": (p,),
         "work": (learner.work, m, m),
-        **sizes,
+        **check.scratch,
     }
     state = {
         "mean": block.initial_mean,
@@ -208,8 +212,8 @@ def estimation(
         "largest": largest,
     }
     return (
-        state | doubts | watching,
-        parameters | screen_parameters | constants,
+        state | doubts | check.state,
+        parameters | screen_parameters | check.parameters,
         {name: np.zeros(shape) for name, shape in scratch.items()},
     )
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bayesftc.controllers.estimation.filter import MEAN_CAP, hold_variances
+from bayesftc.controllers.estimation.filter import MEAN_CAP, hold_variance, keep_only
 from bayesftc.controllers.estimation.observers import Observers, observers
-from bayesftc.controllers.linalg.dense import apply, congruence
+from bayesftc.controllers.linalg.dense import apply, cholesky, congruence, whiten
 from bayesftc.cosim.elementary import exponential, logarithm
-from bayesftc.cosim.ops import absolute, either, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, maximum, minimum, select, sqrt
 from bayesftc.cosim.stepping.records import named_alike
 
 if TYPE_CHECKING:
@@ -39,21 +39,14 @@ STRICTER = MEAN_LIMIT / PRODUCT_LIMIT
 ABSURD = 1e6
 """Standard deviations beyond which a sample is not used."""
 
-UNSEEN = 1e250
-"""Error of a missing sample, which no other sample hides in a sum."""
-
-MISSING = 1e200
-"""Errors beyond this are of missing samples, as no belief is so far away (`MEAN_CAP`)."""
+UNCERTAIN = 1e6
+"""Variance of a filter's start, in units of its steady one: the samples say where the plant starts, however few a sensor has."""
 
 LARGEST = 1e10
-"""Largest variance of a filter without samples, in units of its largest steady one: rounding keeps the others' part of it."""
+"""Largest variance of a state without samples, in units of its steady one: what is known beside it is not lost in rounding."""
 
 LEAST = 1e-200
 """Lower limit of decaying numbers: subnormal numbers are slow and have no reciprocal."""
-
-
-VECTORS = 3
-"""Number of scratch vectors: a row of the sensors' matrix, its product with the covariance, and the mean before the samples."""
 
 
 class ObserverBank(NamedTuple):
@@ -65,18 +58,16 @@ class ObserverBank(NamedTuple):
         Decays from 1 with each step.
     mean, covariance : ndarray
         Each filter's belief.
-    whiten : ndarray
-        Makes the noise of a set's sensors independent, of variance 1; zero rows and columns for the others.
-    noise, transition : ndarray
-        Each filter's process covariance, and the model's A.
-    error, vectors, square : ndarray
+    sees : ndarray
+        Which sensors (1 or 0) are in each set.
+    noise : ndarray
+        Each filter's process covariance.
+    error, used, root, rows, before : ndarray
         Scratch space.
     white, moments : ndarray
         Each sensor's last whitened innovation in each set, and its mean, mean square and mean product with the one before.
     settings : ndarray
         Weight of a sample, the value of ``new`` at which samples begin to count, and a factor for each set.
-    largest : ndarray of 1
-        Largest variance of a belief.
     suspect : ndarray of 1
         The output ``model_suspect``.
     """
@@ -84,66 +75,83 @@ class ObserverBank(NamedTuple):
     new: Floats
     mean: Floats
     covariance: Floats
-    whiten: Floats
+    sees: Floats
     noise: Floats
-    transition: Floats
     error: Floats
-    vectors: Floats
-    square: Floats
+    used: Floats
+    root: Floats
+    rows: Floats
+    before: Floats
     white: Floats
     moments: Floats
     settings: Floats
-    largest: Floats
     suspect: Floats
 
 
+class Motion(NamedTuple):
+    """The filters' transition matrix A, the largest variance of each state, and scratch space."""
+
+    transition: Floats
+    largest: Floats
+    following: Floats
+    square: Floats
+
+
 OBSERVER_BANK = named_alike(ObserverBank, "seer_", suspect="model_suspect")
-"""Names of the arrays of the filters."""
+MOTION = named_alike(Motion, "seer_")
+"""Names of the arrays of the filters, and of those that predict their beliefs by a linear model."""
 
 
-def consistency(
-    model: LinearModel, mean: Any, bank: Observers | None = None
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, tuple[int, ...]]]:
-    """Return state, parameters and the sizes of scratch space of the check for a model and an initial mean.
+class Check(NamedTuple):
+    """State, parameters and sizes of the scratch space of the check."""
 
-    Parameters
-    ----------
-    model : LinearModel
-        The model.
-    mean : array_like, shape (n,)
-        Mean of all filters at the start. Their covariance is the steady one.
-    bank : Observers, optional
-        The model's observers; by default those of `observers`. Without any the check's output is NaN.
-    """
-    bank, n, m = bank or observers(model), model.states, model.sensors
+    state: dict[str, Any]
+    parameters: dict[str, Any]
+    scratch: dict[str, tuple[int, ...]]
+
+
+def consistency(model: LinearModel, mean: Any) -> Check:
+    """Return the arrays of the check for a linear model and a mean at the start."""
+    bank, n = observers(model), model.states
+    check = check_of(bank, model.sensors, n, mean)
+    steady = check.state["seer_covariance"]
+    largest = LARGEST * np.einsum("sii->si", steady).max(axis=0)
+    moving = {"seer_transition": model.matrix("A") if bank is None else bank.transition, "seer_largest": largest}
+    return Check(
+        check.state | {"seer_covariance": UNCERTAIN * steady},
+        check.parameters | moving,
+        check.scratch | {"seer_following": (n,), "seer_square": (n, n)},
+    )
+
+
+def check_of(bank: Observers | None, m: int, n: int, mean: Any) -> Check:
+    """Return the arrays for a bank of observers of m sensors and n states, or None; their covariance is the steady one."""
     sets = ((),) if bank is None else bank.sensors
     count, weight = len(sets), 1.0 / WINDOW
-    whiten, R = np.zeros((count, m, m)), model.matrix("sensor_covariance")
-    for s, chosen in enumerate(map(list, sets)):
-        whiten[s][np.ix_(chosen, chosen)] = np.linalg.inv(np.linalg.cholesky(R[np.ix_(chosen, chosen)]))
-    member = np.einsum("sii->si", whiten) > 0.0
+    sees = np.array([[float(i in chosen) for i in range(m)] for chosen in sets])
     settled = 1.0 if bank is None else exponential((float(bank.settling) + 0.5) * logarithm(1.0 - weight))
     # Mean and mean product have the variances of averages over so many scalars; without observers all is NaN.
-    scalars = (2.0 - weight) / weight * np.where(member.any(axis=1), member.sum(axis=1), np.nan)
-    steady, noise = np.zeros((2, count, n, n)) if bank is None else (bank.covariance, bank.noise)
+    scalars = (2.0 - weight) / weight * np.where(sees.any(axis=1), sees.sum(axis=1), np.nan)
+    covariance, noise = np.zeros((2, count, n, n)) if bank is None else (bank.covariance, bank.noise)
     state = {
         "seer_new": np.ones(1),
         "seer_mean": np.broadcast_to(np.asarray(mean, float), (count, n)).copy(),
-        "seer_covariance": steady,
+        "seer_covariance": covariance,
         "seer_white": np.zeros((count, m)),
-        "seer_moments": np.stack([0.0 * member, 1.0 * member, 0.0 * member], axis=1),
+        "seer_moments": np.stack([0.0 * sees, sees, 0.0 * sees], axis=1),
     }
-    parameters = {
-        "seer_whiten": whiten,
-        "seer_noise": noise,
-        "seer_transition": model.matrix("A") if bank is None else bank.transition,
-        "seer_settings": [weight, settled, *(scalars / MEAN_LIMIT)],
-        "seer_largest": [LARGEST * max(float(steady.max(initial=0.0)), LEAST)],
+    parameters = {"seer_sees": sees, "seer_noise": noise, "seer_settings": [weight, settled, *(scalars / MEAN_LIMIT)]}
+    scratch: dict[str, tuple[int, ...]] = {
+        "seer_error": (m,),
+        "seer_used": (m,),
+        "seer_root": (m, m),
+        "seer_rows": (m, n),
+        "seer_before": (2, n),
     }
-    return state, parameters, {"seer_error": (m,), "seer_vectors": (VECTORS, n), "seer_square": (n, n)}
+    return Check(state, parameters, scratch)
 
 
-def check_consistency(y, x_hat, C, bank):
+def check_consistency(y, x_hat, C, nominal, bank):
     """Correct each filter, update the moments, and write the disagreement of the set that disagrees least."""
     m, n = y.shape[0], x_hat.shape[0]
     least = forget_start(bank)
@@ -153,7 +161,7 @@ def check_consistency(y, x_hat, C, bank):
             for j in range(n):
                 total = total - C[i, j] * bank.mean[s, j]
             bank.error[i] = total
-        least = minimum(least, correct(s, x_hat, C, bank))
+        least = minimum(least, correct(s, x_hat, C, nominal, bank))
     bank.suspect[0] = least / (1.0 + least)
 
 
@@ -164,38 +172,40 @@ def forget_start(bank):
     return 1e300 + 0.0 * bank.new[0]
 
 
-def correct(s, x_hat, C, bank):
+def correct(s, x_hat, C, nominal, bank):
     """Correct the filter of one set by ``bank.error``, one sensor after the other, and return the disagreement of the set.
 
-    From 1 on the model is suspect. Missing samples change nothing. If one is absurd, the filter takes the controller's estimate.
+    From 1 on the model is suspect. A missing sample changes nothing, whichever it is: the noise of those that are there is
+    made independent by the factor of their covariance. If one is absurd, the filter takes the controller's estimate.
     """
     m, n = C.shape[0], C.shape[1]
-    mean, covariance = bank.mean[s], bank.covariance[s]
-    row, v, before = bank.vectors[0], bank.vectors[1], bank.vectors[2]
+    mean, covariance, v, before = bank.mean[s], bank.covariance[s], bank.before[0], bank.before[1]
+    for i in range(m):
+        there = both(bank.sees[s, i] > 0.5, bank.error[i] - bank.error[i] == 0.0)
+        bank.used[i] = select(there, 1.0, 0.0)
+        bank.error[i] = select(there, bank.error[i], 0.0)
+        for j in range(n):
+            bank.rows[i, j] = select(there, C[i, j], 0.0)
+        for j in range(m):
+            bank.root[i, j] = nominal[i, j]
+    keep_only(bank.used, bank.root)
+    cholesky(bank.root, bank.root)
+    whiten(bank.root, bank.rows, bank.error)
     for j in range(n):
         before[j] = mean[j]
     weight = select(bank.new[0] <= bank.settings[1], bank.settings[0], 0.0)
     zero = 0.0 * weight
     far, square, product, absurd = zero, zero, zero, zero
     for i in range(m):
-        bank.error[i] = select(bank.error[i] - bank.error[i] == 0.0, bank.error[i], UNSEEN)
-        error = bank.whiten[s, i, 0] * bank.error[0]
-        for k in range(1, i + 1):
-            error = error + bank.whiten[s, i, k] * bank.error[k]
-        missing = absolute(error) > MISSING
-        for j in range(n):
-            total = bank.whiten[s, i, 0] * C[0, j]
-            for k in range(1, i + 1):
-                total = total + bank.whiten[s, i, k] * C[k, j]
-            row[j] = total
+        row, error, spread = bank.rows[i], bank.error[i], 1.0 + zero
         apply(covariance, row, v)
-        spread = 1.0 + zero
         for j in range(n):
             spread = spread + row[j] * v[j]
             error = error - row[j] * (mean[j] - before[j])
         new = error / sqrt(spread)
-        here = absolute(new) < ABSURD
-        absurd = select(either(here, missing), absurd, 1.0)
+        plausible = absolute(new) < ABSURD
+        absurd = select(plausible, absurd, 1.0)
+        here = both(bank.used[i] > 0.5, plausible)
         new, error, gain = select(here, new, 0.0), select(here, error, 0.0), select(here, 1.0 / spread, 0.0)
         for j in range(n):
             mean[j] = mean[j] + v[j] * gain * error
@@ -217,19 +227,20 @@ def correct(s, x_hat, C, bank):
     return bank.settings[2 + s] * small * maximum(far, STRICTER * alike * alike * small)
 
 
-def follow(effective, B, bank):
-    """Predict each filter's belief at the next sample, with the effective control."""
+def follow(effective, B, bank, motion):
+    """Predict each filter's belief at the next sample by a linear model, with the effective control."""
     n = B.shape[0]
     for s in range(bank.mean.shape[0]):
-        mean, covariance, following = bank.mean[s], bank.covariance[s], bank.vectors[0]
-        apply(bank.transition, mean, following)
+        mean, covariance = bank.mean[s], bank.covariance[s]
+        apply(motion.transition, mean, motion.following)
         for i in range(n):
-            total = following[i]
+            total = motion.following[i]
             for j in range(B.shape[1]):
                 total = total + B[i, j] * effective[j]
             mean[i] = maximum(minimum(total, MEAN_CAP), -MEAN_CAP)
-        congruence(bank.transition, covariance, bank.square, covariance)
+        congruence(motion.transition, covariance, motion.square, covariance)
         for i in range(n):
             for j in range(n):
                 covariance[i, j] = covariance[i, j] + bank.noise[s, i, j]
-        hold_variances(covariance, bank.largest)
+        for i in range(n):
+            hold_variance(covariance, i, motion.largest[i])

@@ -266,14 +266,18 @@ def predict(belief, u, model, largest, AP):
 
 def hold_variances(covariance, largest):
     """Limit the variances to ``largest``."""
-    n = covariance.shape[0]
-    for i in range(n):
-        # The correlations of such a state are removed as well, or repeated steps would turn them into false certainty.
-        lost = covariance[i, i] > largest[0]
-        for j in range(n):
-            covariance[i, j] = select(lost, 0.0, covariance[i, j])
-            covariance[j, i] = covariance[i, j]
-        covariance[i, i] = select(lost, largest[0], covariance[i, i])
+    for i in range(covariance.shape[0]):
+        hold_variance(covariance, i, largest[0])
+
+
+def hold_variance(covariance, i, largest):
+    """Limit the variance of one state."""
+    # The correlations of such a state are removed as well, or repeated steps would turn them into false certainty.
+    lost = covariance[i, i] > largest
+    for j in range(covariance.shape[0]):
+        covariance[i, j] = select(lost, 0.0, covariance[i, j])
+        covariance[j, i] = covariance[i, j]
+    covariance[i, i] = select(lost, largest, covariance[i, i])
 
 
 def keep_belief(aim, decision, folding, belief):

@@ -45,7 +45,7 @@ _NEGLIGIBLE = 1e-12
 """An effect of a control below this, relative to the states' size or 1, counts as rounding."""
 
 _EXPLODING = 10.0
-"""Growth of a mode in a step from which on the plant's integration probably diverges."""
+"""Growth of a mode in a step from which on a plant's integration probably diverges."""
 
 _QUANTITIES = {
     "A": "The matrix A",
@@ -252,13 +252,15 @@ def refuse_unmoved(linear: Linearization, actuated: Sequence[str]) -> None:
         With the name of the control.
     """
     size = max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (linear.x, linear.y)))
-    grows = float(np.abs(np.linalg.eigvals(linear.A)).max(initial=0.0))
     for j in linear.columns(actuated):
         if float(np.abs(linear.B[:, j]).max(initial=0.0)) * max(1.0, abs(linear.u[j])) <= _NEGLIGIBLE * size:
+            grows = (
+                float(np.abs(np.linalg.eigvals(linear.A)).max(initial=0.0)) if np.isfinite(linear.A).all() else np.inf
+            )
             if grows > _EXPLODING:
                 raise ModelError(
-                    f"The plant's response to {linear.inputs[j]} grows {grows:.3g}-fold in each step of {show(linear.step)} s. "
-                    f"Its integration probably diverges: give a smaller dt; {SUBSTEPS}."
+                    f"{linear.inputs[j]} has no effect that could be seen beside a mode of the plant that grows {grows:.3g}-fold "
+                    f"in each step of {show(linear.step)} s. Probably its integration diverges: give a smaller dt; {SUBSTEPS}."
                 )
             raise ModelError(
                 f"{linear.inputs[j]} has no effect about the operating point, so it cannot control the plant. Use another input, "
@@ -294,8 +296,10 @@ def _of_linear(
 ) -> Linearization:
     if at:
         raise ModelError(
-            "A linear system does not depend on the operating point; leave at= out. If an input has a constant value that the "
-            "controller is to learn, such as a load, give disturbance= with a large initial_spread=."
+            "A linear system does not depend on the operating point; leave at= out. If one of its inputs is constant, as the "
+            "temperature outside, write the system in deviations from the steady state that it causes, or make the input a state "
+            "with a long lag that starts at this value (docs/how-to/constant-disturbances.md). disturbance= estimates an unknown "
+            "load where the control acts."
         )
     a, b, c, d = system.matrices()
     columns, into = chosen(inputs, system.input_names, "input")

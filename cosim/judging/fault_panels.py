@@ -25,9 +25,6 @@ Marks = dict[int, dict[str, Flags]]
 
 IGNORED = 100.0
 """Factor above the smallest expected standard deviation of a quantity; beyond it, a weight is below 1/10,000 of the largest."""
-ENDS = 3.0
-"""Length of a bar that must be seen beside a word on it, in letters: a bar that the word hides looks like another kind."""
-
 WORSE = 10.0
 """Factor above a sensor's own smallest one, which it must also exceed: a coarse sensor beside a fine one is not ignored."""
 SMALLEST = 0.01
@@ -44,6 +41,8 @@ PLAIN, ROW = 1.8, 0.16
 """Heights in inches of a panel of expected noise or of beta without marks, and of a row of marks above its values."""
 BAR = 0.07
 """Height in inches of a bar in such a row."""
+ENDS = 3.0
+"""Length of a bar that must be seen beside a word on it, in letters: a bar that the word hides looks like another kind."""
 CORRECTED: dict[str, Any] = {"facecolor": "white", "hatch": "//////", "lw": 0.8}
 """Look of a bar for corrected samples; bars for ignored ones are filled."""
 

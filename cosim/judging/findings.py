@@ -43,6 +43,9 @@ PLAIN = ("DroppedOut",)
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
 
+MISLEADS = 500
+"""Steps for which the fault of a sensor may mislead the belief after others have failed as well."""
+
 AT_ONCE = 20
 """Number of samples within which an alarm begins with the run."""
 
@@ -481,7 +484,7 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             for of, note in _outvoted(quantity, signals, samples, alarms):
                 notes[of].append(note)
             continue
-        of, wrong = "model", "the plant behaves unlike the controller's model"
+        of, wrong = "model", _unlike(signals, first)
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
         noise = float(np.median([_noise(one - other) for one, other in combinations(samples, 2)]))
         if all(_noisier(s, first, noise) for s in group):
@@ -520,8 +523,16 @@ def _outvoted(
                 "most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
             )
         else:
-            yield "model", f"{who}: the plant behaves unlike the controller's model"
+            yield "model", f"{who}: {_unlike(signals, first)}"
         return
+
+
+def _unlike(signals: LoopSignals, step: int) -> str:
+    """Return why sensors that agree may be blamed from a step on: the model, or faults of several that misled the belief."""
+    before = slice(max(step - MISLEADS, 0), step + 1)
+    failed = sum(s.faulty is not None and bool(s.faulty[before].any()) for s in signals.sensors)
+    misled = ", or faults of several sensors have misled the belief" if failed > 1 else ""
+    return f"the plant behaves unlike the controller's model{misled}"
 
 
 def _missed(signals: LoopSignals, index: int) -> Flags:

@@ -241,9 +241,8 @@ def finish(axes: list[Axes], time: Floats, origin: datetime | None = None) -> No
         _write_exponents(axis)
     figure: Any = axes[0].figure
     figure.align_ylabels(axes)
-    figure.get_layout_engine().execute(
-        figure
-    )  # the next one knows how wide the numbers are beside which labels are aligned
+    # Labels are aligned beside the widest numbers, which are known only when the panels have their sizes.
+    figure.get_layout_engine().execute(figure)
 
 
 def _tick_in(axis: Axes, unit: float) -> None:

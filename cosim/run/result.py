@@ -325,13 +325,12 @@ class Result(Mapping[str, Floats]):
 
         probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
         blamed = np.flatnonzero(probability >= ALARM).tolist()
-        if not blamed or len(blamed) == len(probability) > 1 or self._agreement["model"]:
+        if not len(probability) or len(blamed) == len(probability) > 1 or self._agreement["model"]:
             return ""  # sensors that are blamed although they agree speak for a wrong model, too
         if len(blamed) > 1:
             return ", or several sensors are faulty,"
         quantities = () if self.roles is None or self.roles.controller != block else self.roles.quantities
-        alone = any(quantity.sensors == (blamed[0],) for quantity in quantities)
-        if alone:
+        if blamed and any(quantity.sensors == (blamed[0],) for quantity in quantities):
             return f", or sensor {blamed[0]}, the only one of its quantity, is faulty,"
         lately = self[f"{block}.fault_probability"][max(0, k - REMEMBERED // self.decimation) : k + 1]
         so_far = lately.reshape(len(lately), -1) >= ALARM

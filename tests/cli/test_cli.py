@@ -453,7 +453,7 @@ def test_no_probability_is_explained(bayesftc_, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("", "", "The model A comparison with the 101 samples found no error in the controller's model."),
+        ("", "", "The model The 101 samples have not enough evidence against the controller's model to name an error."),
         ("B = [[", "B = [[-", "The model All sensors disagree with the model in the same way"),
         ("seed = 1", 'seed = 1\nrecord = ["plant.v"]', None),
     ],

@@ -755,3 +755,15 @@ def test_the_initial_covariance_does_not_depend_on_units(unit):
     P = solve_discrete_are(A.T, (model.C * states / unit).T, Q, np.eye(2))
     start = controller.initial_covariance / np.outer(states, states)
     np.testing.assert_allclose(np.sqrt(np.diag(start)), np.sqrt(10.0 * np.diag(P)), rtol=1e-3)
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.001])
+def test_an_integration_that_diverges_is_named(dt):
+    """A winding of .1 ms in substeps of 1 ms: it was called a step that is too long, or a control without effect."""
+    quick = {"J": 4e-4, "b": 1e-4, "K": 0.05, "R": 1.0, "L": 1e-4}
+    servo = cosim.FMU(fmus.path("PositionServo"), parameters=quick)
+    settings = {"measured": "angle", "actuated": "voltage", "sensors": 2, "dt": dt}
+    with pytest.raises(cosim.ModelError, match="shorter ones \\(max_substep of a shipped FMU\\)"):
+        controllers.design(servo, **settings)
+    right = cosim.FMU(fmus.path("PositionServo"), parameters=quick | {"max_substep": 1e-5})
+    assert controllers.design(right, **settings).model.states > 1

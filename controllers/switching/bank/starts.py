@@ -32,12 +32,12 @@ def make_settle(layout: Layout) -> Callable[..., None]:
     """Return the step function that settles a part of the end of a process mode, or moves it to the first samples.
 
     If a quantity's first samples are far from the belief, this hypothesis says that the plant starts elsewhere, as if it had been
-    kicked before. Its state goes to the most precise of them that agrees with their median (of the two middle ones the nearer),
-    so that one faulty sensor of three has no effect. That costs the probability of this sample in a wide prior, as a jump costs
-    a sensor's offset.
+    kicked before. Its state goes to the most precise of them that agrees with their median, so that one faulty sensor of three
+    rarely has an effect. That costs the probability of this sample in a wide prior, as a jump costs a sensor's offset.
     """
     n, m, sensor, none, elsewhere = layout.n, layout.m, layout.sensor, layout.first, layout.elsewhere
     quantity, new, error = layout.quantity, layout.scratch, layout.scratch + layout.m
+    spread_of = new  # of a sample that is located, in place of the flag that it is the sensor's first one
     leads = tuple(quantity.index(of) == i for i, of in enumerate(quantity))
     collect, receive, doubt, unread = make_collect(layout), make_receive(layout), layout.doubt, layout.unread
 
@@ -68,7 +68,10 @@ def make_settle(layout: Layout) -> Callable[..., None]:
         return 1.0 / precision
 
     def locate(i, count, nominal, memory):
-        """Write the deviation of the most precise of these samples that agrees with their median, and its variance."""
+        """Write the deviation of the most precise of these samples that agrees with their median, and its variance.
+
+        Of the two middle ones of an even number the one nearer to the belief counts as the median.
+        """
         low, high, of_low, of_high = 0.0 * count, 0.0 * count, 0.0 * count, 0.0 * count
         for j in range(m):
             if quantity[j] == quantity[i]:
@@ -92,7 +95,7 @@ def make_settle(layout: Layout) -> Callable[..., None]:
                 better = both(both(agrees, nominal[j, j] < variance), memory[new + j] > 0.5)
                 far = select(better, memory[error + j], far)
                 variance = select(better, nominal[j, j], variance)
-        memory[error + i], memory[new + i] = far, variance
+        memory[error + i], memory[spread_of + i] = far, variance
 
     def settle(e, present, C, nominal, memory, settings, at):
         compare(e, present, C, nominal, memory, at)
@@ -102,7 +105,7 @@ def make_settle(layout: Layout) -> Callable[..., None]:
             if leads[i]:
                 count, variance = samples(i, memory), together(i, nominal, memory)
                 locate(i, count, nominal, memory)
-                far, of_one = memory[error + i], memory[new + i]
+                far, of_one = memory[error + i], memory[spread_of + i]
                 far = select(far * far > NEAR * variance, far, 0.0)
                 farthest = maximum(farthest, far * far / variance)
                 wide = wide * select(far == 0.0, 1.0, sqrt(of_one / (of_one + far * far)))
@@ -120,7 +123,7 @@ def make_settle(layout: Layout) -> Callable[..., None]:
         for i in range(m):
             if leads[i]:
                 far, first = memory[error + i], elsewhere + i
-                widened = select(far == 0.0, 0.0, memory[new + i])
+                widened = select(far == 0.0, 0.0, memory[spread_of + i])
                 for a in range(n):
                     memory[z + a] = memory[z + a] + settings[first + a * m] * far
                     for b in range(n):

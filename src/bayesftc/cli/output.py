@@ -261,7 +261,7 @@ def _of_model(numbers: Mapping[str, Any]) -> str:
     if not (count := numbers.get("model_without_error")):
         return ""
     which = f"{'first ' if count <= numbers['steps'] else ''}{count} samples"
-    return f"A comparison with the {which} found no error in the controller's model."
+    return f"The {which} have not enough evidence against the controller's model to name an error."
 
 
 def say_written(folder: Path) -> None:

@@ -17,7 +17,7 @@ def by_filterpy(model, y, u):
     filters = []
     for noise, covariance in zip(bank.noise, bank.covariance, strict=True):
         kalman = KalmanFilter(model.states, model.sensors, model.controls)
-        kalman.F, kalman.B, kalman.Q, kalman.P = bank.transition, model.matrix("B"), noise, covariance
+        kalman.F, kalman.B, kalman.Q, kalman.P = bank.transition, model.matrix("B"), noise, check.UNCERTAIN * covariance
         filters.append(kalman)
     moments = np.stack([np.array([[0.0], [1.0], [0.0]]) * np.ones(model.sensors)] * len(bank))
     last, out = np.zeros((len(bank), model.sensors)), []
@@ -51,7 +51,7 @@ def by_filterpy(model, y, u):
     wrong=st.sampled_from([1.0, 3.0]),
 )
 def test_it_is_that_of_kalman_filters_with_the_samples_that_are_there(seed, share, correlation, wrong):
-    """Correlated sensors of a set have their samples together; with one alone, the other would count as missing too."""
+    """Also where the noise of sensors is correlated, whichever of them has a sample."""
     rng = np.random.default_rng(seed)
     R = 0.01 * np.eye(6)
     R[0, 4] = R[4, 0] = R[1, 5] = R[5, 1] = 0.01 * correlation
@@ -63,7 +63,6 @@ def test_it_is_that_of_kalman_filters_with_the_samples_that_are_there(seed, shar
         y.append(model.C @ x + rng.multivariate_normal(np.zeros(6), R))
         x = model.A @ x + wrong * model.B @ push + 0.01 * rng.standard_normal(2)
     y, gone = np.array(y), rng.random((500, 6)) < share
-    gone[:, 4:] = gone[:, :2]  # a pair of sensors whose noise is correlated
     y[gone] = np.nan
     step = controllers.StateEstimator(model, precision=controllers.FixedPrecision()).online()
     found = [float(step(y=row, u=push).model_suspect) for row, push in zip(y, u, strict=True)]
@@ -108,3 +107,51 @@ def test_it_comes_back_when_an_unstable_plant_was_not_seen_for_long(pole):
         x = pole * x + u + (0.5 if k > 3000 else 0.0) + 1e-3**0.5 * rng.standard_normal()
     assert np.isfinite(found).all()
     assert max(found[200:3000]) < 0.5 < max(found[3000:])
+
+
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize(
+    "precision", [controllers.FixedPrecision(), controllers.SwitchingPrecision(loss=0.9)], ids=repr
+)
+def test_a_start_elsewhere_is_no_wrong_model_however_few_samples_there_are(every, precision):
+    model = controllers.LinearModel([[0.999]], [[0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    step, rng, x, found = (
+        controllers.StateEstimator(model, precision=precision).online(),
+        np.random.default_rng(0),
+        5.0,
+        [],
+    )
+    for k in range(1500):
+        y = x + 0.1 * rng.standard_normal(2) if k % every == 0 else np.full(2, np.nan)
+        found.append(float(step(y=y, u=[0.0]).model_suspect))
+        x = 0.999 * x + 0.01 * rng.standard_normal()
+    assert max(found) < 0.5
+
+
+def test_the_units_of_states_do_not_decide_what_is_kept_without_samples():
+    """An unstable position in m that no sample tells for long, beside a pressure in Pa."""
+    A, C = np.diag([1.02, 0.9]), np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
+    found = []
+    for unit in (1.0, 1e6):
+        there = np.diag([1.0, unit])
+        model = controllers.LinearModel(
+            A,
+            there @ np.ones((2, 1)),
+            C @ there,
+            np.diag([1e-4, 1e-2 * unit**2]),
+            [0.01, 0.01, unit**4, unit**4],
+            dt=0.1,
+        )
+        step, rng = (
+            controllers.StateEstimator(model, precision=controllers.FixedPrecision()).online(),
+            np.random.default_rng(1),
+        )
+        x, out = np.zeros(2), []
+        for k in range(3000):
+            y = C @ np.diag([1.0, unit**2]) @ x + np.array([0.1, 0.1, unit**2, unit**2]) * rng.standard_normal(4)
+            y[:2] = y[:2] if k < 300 or k > 2000 else np.nan
+            u = -0.5 * x[0]
+            out.append(float(step(y=y, u=[u]).model_suspect))
+            x = A @ x + u + rng.standard_normal(2) * [0.01, 0.1]
+        found.append(out)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)

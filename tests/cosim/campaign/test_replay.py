@@ -77,7 +77,7 @@ def test_a_replay_lists_the_inferred_faults_as_a_run_does(bayesftc_, tmp_path):
     assert "Frozen" in {found["kind"] for found in numbers["findings"]}
     for done in (replayed, run):
         assert "Faults that the controller infers" in done.stdout, done.output
-        assert "The model\nA comparison with the 401 samples found no error" in done.stdout, done.output
+        assert "The model\nThe 401 samples have not enough evidence" in done.stdout, done.output
 
 
 @pytest.mark.parametrize(

@@ -185,7 +185,7 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     if (date := tables.other_date(file, first)) is not None:
         raise RecordingError(
             f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {date!r}, are not in the form of ISO 8601. "
-            f"Write them as {iso_of(date)}."
+            f"Write them as {iso_of(date)}, for example with pandas.to_datetime."
         )
     if (name := time_column(every)) is not None:
         return name

@@ -93,7 +93,8 @@ def keys(
     chosen = [
         t
         for t in tables
-        if section is None or set(section.split(".")) <= set(section_words(t[0])) or section in (t[1], t[2].__name__)
+        if section is None
+        or section in (*section_words(t[0]), *re.findall(r"[a-z_]+\.[a-z_]+", t[0]), t[1], t[2].__name__)
     ]
     if not chosen:
         names = {

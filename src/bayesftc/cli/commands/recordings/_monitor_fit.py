@@ -433,8 +433,9 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
         say(
             "All but the motion, which is that of the whole recording, comes from the stretch between --from and --to."
             if not fitted.borrows
-            else "Biases, repeats and missing come from the stretch between --from and --to. It is short, or calm, and tells too "
-            "little of motion and noise: they come from the whole recording; the noise is at most twice that of the stretch. "
+            else "Biases, repeats and missing come from the stretch between --from and --to. Motion and noise come from the "
+            "whole recording, because the stretch is too short or too calm for them; the noise is at most twice that of the "
+            "stretch. "
             "Lasting errors outside the stretch count if most sensors have them. To fit the stretch alone, put its rows into a "
             "file of their own."
         )
@@ -452,7 +453,7 @@ def _gaps(recording: Recording) -> str:
 def _motion(fitted: FittedModel, unit: str) -> str:
     change = f"{fitted.plant.std:.3g} {unit}".rstrip()
     if not fitted.moves:
-        return f"No motion is visible above the noise. The quantity may change by {change} in one second (RandomWalk)."
+        return f"From sample to sample no motion is visible above the noise. It may be {change} in one second (RandomWalk)."
     if type(fitted.plant) is RandomWalk:
         return f"The quantity changes by {change} in one second (RandomWalk)."
     rate = f"{fitted.plant.std:.3g} {unit}/s" if unit else f"{fitted.plant.std:.3g} per second"

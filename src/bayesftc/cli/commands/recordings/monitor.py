@@ -202,10 +202,10 @@ def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspic
         if suspicion.setting != "motion":
             return f"Fit {healthy}."
         change = f"Change it in {model} and give --model {model} without --fit."
-        if 0 < len(lasting) < len(suspicion.sensors):
-            failed = f"if {' and '.join(lasting)} failed in this recording, the model now expects the fault as lasting errors"
-            return f"{change} But {failed}: fit {healthy}."
-        return change
+        if not 0 < len(lasting) < len(suspicion.sensors):  # errors of all, or of two, are no fault of one
+            return change
+        failed = f"If {' and '.join(lasting)} failed in this recording, which the model now expects as lasting errors"
+        return f"{change} {failed}, fit {healthy}, instead."
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
 
