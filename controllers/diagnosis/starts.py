@@ -32,6 +32,8 @@ def wrong_start(
     units : sequence of str
         The unit of each sensor, if known.
     """
+    if getattr(controller, "initial_covariance", None) is None:  # active inference begins with a point
+        return None
     C, R = model.matrix("C"), model.matrix("sensor_covariance")
     belief = C @ np.broadcast_to(np.asarray(controller.initial_mean, float), model.states)
     std = np.sqrt(np.diag(C @ np.asarray(controller.initial_covariance, float) @ C.T + R))

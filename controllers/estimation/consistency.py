@@ -17,7 +17,7 @@ from bayesftc.controllers.estimation.filter import MEAN_CAP, hold_variance, keep
 from bayesftc.controllers.estimation.observers import Observers, observers
 from bayesftc.controllers.linalg.dense import apply, cholesky, congruence, whiten
 from bayesftc.cosim.elementary import exponential, logarithm
-from bayesftc.cosim.ops import absolute, both, maximum, minimum, select, sqrt
+from bayesftc.cosim.ops import absolute, both, either, maximum, minimum, select, sqrt
 from bayesftc.cosim.stepping.records import named_alike
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def correct(s, x_hat, C, nominal, bank):
         new = error / sqrt(spread)
         plausible = absolute(new) < ABSURD
         absurd = select(plausible, absurd, 1.0)
-        here = both(bank.used[i] > 0.5, plausible)
+        here = both(either(bank.used[i] > 0.5, bank.sees[s, i] < 0.5), plausible)  # one of another set reads 0
         new, error, gain = select(here, new, 0.0), select(here, error, 0.0), select(here, 1.0 / spread, 0.0)
         for j in range(n):
             mean[j] = mean[j] + v[j] * gain * error

@@ -105,7 +105,10 @@ def test_probabilities_that_are_not_to_be_trusted_are_named_with_the_worst_senso
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
     assert "jumps by 0.5 or drifts by 0.1 a second. A fault lasts 2 s" in said
-    assert re.search(r"Do not rely on these probabilities: .* The worst are those of sensor \d: their mean is 0", said)
+    assert re.search(
+        r"Do not rely on these probabilities for such faults: .* The worst are those of sensor \d: their mean is 0",
+        said,
+    )
     assert "compare with joint = false in [controller.precision]" in said
     report = json.loads(RUNNER.invoke(app, [*options, "--json"]).output)
     assert report["simulated"] == {

@@ -489,7 +489,7 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, end, sente
     healthy = RUNNER.invoke(app, [*command, str(tmp_path / "healthy.toml"), "--to", f"{min(begin, 30) - 1:g}"])
     assert healthy.exit_code == 0
     words = " ".join(healthy.output.split())
-    assert "It is short, or calm, and tells too little of motion and noise" in words
+    assert "because the stretch is too short or too calm for them" in words
     assert "To fit the stretch alone, put its rows into a file of their own." in words
     assert "errors of b" not in healthy.output
     assert f"to {end - 0.1:.2f}" in healthy.output

@@ -41,7 +41,7 @@ def test_the_worst_sensor_is_named_with_its_mean():
 def test_an_error_counts_alone():
     words = doubt(report(wrong=2.0))
     assert "Brier" not in words
-    assert words.startswith("Do not rely on these probabilities: they differ from")
+    assert words.startswith("Do not rely on these probabilities for such faults: they differ from")
 
 
 def test_the_numbers_of_the_worst_sensor_are_those_of_its_samples():

@@ -15,7 +15,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_inputs, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
 from bayesftc.controllers.diagnosis.words import moved_at_times, sentence
-from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, WINDOW
+from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, UNCERTAIN, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
 
@@ -595,13 +595,13 @@ def by_numpy(model, y, u, mean):
     rest, disagreements = observers(model).settling, []
     for chosen in map(list, observers(model).sensors):
         c, r = C[chosen], R[np.ix_(chosen, chosen)]
-        P = solve_discrete_are(A.T, c.T, Q, r)
-        S = c @ P @ c.T + r
-        K, x, last = P @ c.T @ np.linalg.inv(S), np.array(mean, float), np.zeros(len(chosen))
+        P = UNCERTAIN * solve_discrete_are(A.T, c.T, Q, r)
+        x, last = np.array(mean, float), np.zeros(len(chosen))
         average, square, product = np.zeros(len(chosen)), 1.0, 0.0
         over = []
         for k in range(len(y)):
-            e = y[k, chosen] - c @ x
+            e, S = y[k, chosen] - c @ x, c @ P @ c.T + r
+            K = P @ c.T @ np.linalg.inv(S)
             w = np.linalg.solve(np.linalg.cholesky(S), e)
             if k >= rest:
                 average += (w - average) / WINDOW
@@ -615,7 +615,7 @@ def by_numpy(model, y, u, mean):
                     count * len(w) * max(product / square, 0.0) ** 2 / PRODUCT_LIMIT,
                 )
             )
-            x = A @ (x + K @ e) + B @ u[k]
+            x, P = A @ (x + K @ e) + B @ u[k], A @ (P - K @ S @ K.T) @ A.T + Q
         disagreements.append(over)
     least = np.min(disagreements, axis=0)
     return least / (1 + least)

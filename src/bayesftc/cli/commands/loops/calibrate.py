@@ -167,8 +167,8 @@ def _remedy(learner: object) -> str:
     """Return what may help a learner with wrong probabilities."""
     if not isinstance(learner, controllers.SwitchingPrecision):
         return ""
-    joint = "compare with joint = false in [controller.precision], or " * learner.joint
-    return f" If your faults are like these, {joint}give its modes their times: time_to_fault and time_to_recovery."
+    joint = ", or compare with joint = false in [controller.precision]" * learner.joint
+    return f" If yours are like these, give its modes their times, time_to_fault and time_to_recovery{joint}."
 
 
 def _write(folder: Path, scenario: str, reliability: Reliability, numbers: Mapping[str, Any]) -> None:
