@@ -122,6 +122,10 @@ class Tables:
         header, table = self._table(file)
         return [name for i, name in enumerate(header) if pd.to_numeric(table[i], errors="coerce").notna().any()]
 
+    def texts(self, file: Path, name: str) -> list[str]:
+        """Return the different texts of a column, in the order of their first rows."""
+        return [text for text in self._cells(file, name, "texts").dropna().unique() if isinstance(text, str)]
+
     def has_dates(self, file: Path, column: int) -> bool:
         """Return whether a column, by its number, has dates."""
         return are_dates(self._table(file)[1][column])

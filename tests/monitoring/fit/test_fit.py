@@ -937,3 +937,20 @@ def test_rounding_errors_last_until_the_quantity_has_moved_by_a_step(count, faul
     assert all(event.start >= 5000 for event in events)
     rounding = [error for error in monitor.errors if error.sensors == ["a"]]
     assert rounding[0].std == pytest.approx(count / 12**0.5)
+
+
+@pytest.mark.parametrize("quality", [False, True])
+def test_a_table_with_a_row_for_each_value_is_named_with_the_remedy(quality, tmp_path):
+    """As historians export it; sorted by time or by tag, its times come again for each tag."""
+    rng, times = np.random.default_rng(0), np.arange(400) * 0.5
+    rows = pd.concat(
+        [pd.DataFrame({"t": times, "Tag": tag, "Value": 20.0 + 0.1 * rng.standard_normal(400)}) for tag in ("T1", "T2")]
+    )
+    if quality:
+        rows.insert(1, "Quality", "Good")
+    for order in ("Tag", "t"):
+        rows.sort_values(order, kind="stable").to_csv(tmp_path / "long.csv", index=False)
+        with pytest.raises(RecordingError, match=r"its column 'Tag' says of what \(T1, T2\)\. Give each a column"):
+            recorded(tmp_path / "long.csv")
+    rows.pivot(index="t", columns="Tag", values="Value").to_csv(tmp_path / "wide.csv")
+    assert list(recorded(tmp_path / "wide.csv").sensors) == ["T1", "T2"]

@@ -29,6 +29,9 @@ from bayesftc.monitoring.recording import Recording, Signal, align
 if TYPE_CHECKING:
     import pandas as pd
 
+MOST_TAGS = 100
+"""Largest number of different texts of a column that may say which sensor each row is of."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -130,6 +133,8 @@ def signals_of(
             if column != times_of[file] and column in chosen:
                 having.setdefault(column, []).append(file)
     read = {file: tables.times(file, times_of[file]) for files in having.values() for file in files}
+    for file, times in read.items():
+        _refuse_rows_of_tags(tables, file, times_of[file], times)
     for column, files in having.items():
         order = in_order([read[file] for file in files])
         # Files such as one for each day follow each other; others of the same time have sensors of the same name.
@@ -167,6 +172,21 @@ def without_numbers(tables: Tables) -> list[str]:
         if name and name not in (*tables.numeric(file), _time_column(tables, file, tables.numeric(file)))
     ]
     return list(dict.fromkeys(named))
+
+
+def _refuse_rows_of_tags(tables: Tables, file: Path, time: str, times: Floats) -> None:
+    """Refuse a table with a row for each value, as historians export it: the times come again for each text of a column."""
+    values = [name for name in tables.numeric(file) if name != time]
+    if len(values) != 1 or np.all(np.diff(times) > 0):
+        return
+    texts = {name: tables.texts(file, name) for name in tables.names(file) if name not in (time, *values)}
+    name = max(texts, key=lambda each: len(texts[each]), default="")  # beside it may be one of good and bad values
+    if 1 < len(texts.get(name, ())) <= MOST_TAGS:
+        what = ", ".join(texts[name][:3]) + ", ..." * (len(texts[name]) > 3)
+        raise RecordingError(
+            f"{os.fspath(file)} has a row for each value: its column {name!r} says of what ({what}). Give each a column, for "
+            f"example with pandas: table.pivot(index={time!r}, columns={name!r}, values={values[0]!r}).to_csv('wide.csv')."
+        )
 
 
 def _column(name: str, columns: Sequence[str]) -> str:
