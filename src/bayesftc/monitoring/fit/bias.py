@@ -20,12 +20,20 @@ from bayesftc.monitoring.fit.settings import FIT
 def biases(y: Floats) -> Floats:
     """Return the constant difference of each sensor from the typical one; their median is 0.
 
-    It is the median of a sensor's differences from all sensors, each the median over the steps at which both have a sample: which
-    sensors are there at a step does not matter.
+    It is the median of a sensor's differences from all sensors, each over the steps at which both have a sample: which sensors
+    are there at a step does not matter. A difference is the median of its medians in many parts of the recording. These scatter
+    less than the samples, so that a fault in a few parts moves their median hardly at all.
     """
-    apart = np.array([median(column[:, None] - y, 0) for column in y.T])
+    parts = _parts(y)
+    apart = np.array([median(median(parts[:, :, [i]] - parts, 1), 0) for i in range(y.shape[1])])
     bias = median(apart, 1)
     return np.asarray(bias - np.median(bias))
+
+
+def _parts(y: Floats) -> Floats:
+    """Return many parts of a recording (parts x steps x sensors), all of one length; without its last steps if they are left."""
+    length = min(max(len(y) // FIT.blocks, FIT.least_block), len(y))
+    return y[: len(y) // length * length].reshape(-1, length, y.shape[1])
 
 
 def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
@@ -41,10 +49,9 @@ def wander(y: Floats, quantile: float) -> tuple[Floats, Floats]:
     quantile : float
         Quantile of the medians' distances: the larger, the more weight has a rare fault or a rare wandering.
     """
-    length = max(len(y) // FIT.blocks, FIT.least_block)
-    count, sensors = len(y) // length, y.shape[1]
-    pairs = list(combinations(range(sensors), 2))
-    apart = np.column_stack([y[:, i] - y[:, j] for i, j in pairs])[: count * length].reshape(count, length, -1)
+    sensors, pairs = y.shape[1], list(combinations(range(y.shape[1]), 2))
+    apart = _parts(np.column_stack([y[:, i] - y[:, j] for i, j in pairs]))
+    length = apart.shape[1]
     levels = median(apart, 1)
     samples = np.maximum(np.isfinite(apart).sum(axis=1), 1)
     noise = (MAD * median(np.abs(apart - levels[:, None, :]), 1)) ** 2 * (np.pi / 2) / samples
