@@ -100,7 +100,7 @@ def test_a_refusal_has_the_users_own_date_where_it_is_certain(tmp_path):
     assert iso_of("01.03.2026 08:15") == iso_of("28-Mär-2026") == iso_of("29.03.2026 08.15 noon") == ISO
     file = tmp_path / "tank.csv"
     file.write_text("t,a,b\n03/29/2026 00:30 +01:00,1,2\n03/29/2026 00:31 +01:00,1,2\n")
-    with pytest.raises(RecordingError, match=r"Write them as 2026-03-29 00:30:00\."):
+    with pytest.raises(RecordingError, match=r"Write them as 2026-03-29 00:30:00, for example with pandas"):
         monitoring.redundant_signals([file])
 
 
