@@ -292,8 +292,8 @@ def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together:
     """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
     One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
-    They are blamed while another one hardly ever is, mostly faults of these sensors, or at once and `together`, if that is
-    enough, whichever the others. Whether they are all that is wrong, `_without_blamed` decides.
+    Several sensors count if another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
+    `_without_blamed` decides whether they are all that is wrong.
     """
     probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM

@@ -48,8 +48,8 @@ class Observers:
     ----------
     sensors : tuple of tuple of int
         The sensors of each set.
-    gain, correction : ndarray, shape (K, n, m)
-        A K and K, the gains of next prediction and estimate on each innovation; zero for sensors of other sets.
+    gain : ndarray, shape (K, n, m)
+        Steady gain of the next prediction on each innovation; zero for sensors of other sets.
     whiten : ndarray, shape (K, m, m)
         Matrix that whitens an observer's innovations to variance 1; zero rows and columns for sensors of other sets.
     noise, covariance : ndarray, shape (K, n, n)
@@ -62,7 +62,6 @@ class Observers:
 
     sensors: tuple[tuple[int, ...], ...]
     gain: Floats
-    correction: Floats
     whiten: Floats
     noise: Floats
     covariance: Floats
@@ -128,7 +127,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
         settling = max(settling, samples)
     transition = model.matrix("A").copy()
     transition[:n, :n] = A
-    return Observers(sets, model.matrix("A") @ correction, correction, whiten, noise, covariance, transition, settling)
+    return Observers(sets, model.matrix("A") @ correction, whiten, noise, covariance, transition, settling)
 
 
 def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:

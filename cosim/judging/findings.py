@@ -18,6 +18,7 @@ from bayesftc.cosim.judging.alarms import judge_alarms
 from bayesftc.cosim.judging.metrics import false_alarm_rate, figures, periods
 from bayesftc.cosim.judging.signals import (
     ALARM,
+    REMEMBERED,
     ActuatorSignals,
     Flags,
     LoopSignals,
@@ -42,9 +43,6 @@ PLAIN = ("DroppedOut",)
 """Kinds that the samples show by themselves: a change to them counts from `HOLD_SAMPLES` on."""
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
 """Units of sizes that are not in the unit of the sensor or the control."""
-
-MISLEADS = 500
-"""Steps for which the fault of a sensor may mislead the belief after others have failed as well."""
 
 AT_ONCE = 20
 """Number of samples within which an alarm begins with the run."""
@@ -481,10 +479,10 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
             continue
         first = alarms_of_all(samples, alarms)
         if first is None:
-            for of, note in _outvoted(quantity, signals, samples, alarms):
+            for of, note in _outvoted(quantity, signals, samples, alarms, decimation):
                 notes[of].append(note)
             continue
-        of, wrong = "model", _unlike(signals, first)
+        of, wrong = "model", _unlike(signals, first, decimation)
         sensors, t = "both" if len(group) == 2 else f"all {len(group)}", signals.time[first]
         noise = float(np.median([_noise(one - other) for one, other in combinations(samples, 2)]))
         if all(_noisier(s, first, noise) for s in group):
@@ -504,7 +502,11 @@ def blamed_together(signals: LoopSignals, decimation: int = 1) -> dict[str, list
 
 
 def _outvoted(
-    quantity: QuantitySignals, signals: LoopSignals, samples: Sequence[Floats], alarms: Sequence[Flags]
+    quantity: QuantitySignals,
+    signals: LoopSignals,
+    samples: Sequence[Floats],
+    alarms: Sequence[Flags],
+    decimation: int,
 ) -> Iterator[tuple[str, str]]:
     """Yield a note where all sensors of a quantity but one are blamed though they agree, two or more, with what it is about.
 
@@ -523,13 +525,13 @@ def _outvoted(
                 "most accurate sensor may look like one of the others. Improve the model (docs/explanation/wrong-models.md)",
             )
         else:
-            yield "model", f"{who}: {_unlike(signals, first)}"
+            yield "model", f"{who}: {_unlike(signals, first, decimation)}"
         return
 
 
-def _unlike(signals: LoopSignals, step: int) -> str:
-    """Return why sensors that agree may be blamed from a step on: the model, or faults of several that misled the belief."""
-    before = slice(max(step - MISLEADS, 0), step + 1)
+def _unlike(signals: LoopSignals, row: int, decimation: int) -> str:
+    """Return why sensors that agree may be blamed from a row on: the model, or faults of several that misled the belief."""
+    before = slice(max(row - REMEMBERED // decimation, 0), row + 1)
     failed = sum(s.faulty is not None and bool(s.faulty[before].any()) for s in signals.sensors)
     misled = ", or faults of several sensors have misled the belief" if failed > 1 else ""
     return f"the plant behaves unlike the controller's model{misled}"

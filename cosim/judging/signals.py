@@ -13,6 +13,9 @@ Flags = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 ALARM = 0.5
 """The lowest fault probability of an alarm."""
+REMEMBERED = 1000
+"""Steps within which faults of several sensors count as one after another: the check of the model remembers some hundred samples,
+and a slow sensor has one in a few steps."""
 SCORES = ("fault_probability", "beta")
 """Outputs of a controller that rank samples by how likely a sensor fault is, in order of preference."""
 LONGER, FEWEST = 1.5, 3
@@ -290,6 +293,7 @@ class LoopSignals:
 
 __all__ = [
     "ALARM",
+    "REMEMBERED",
     "SCORES",
     "ActuatorSignals",
     "ControlSignals",

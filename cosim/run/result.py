@@ -47,9 +47,6 @@ _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 
 DIAGNOSE = "controllers.diagnose(result, loop)"
 """The call that looks for an error of the model; its room is above this one, and it takes seconds."""
-REMEMBERED = 1000
-"""Steps within which faults of several sensors count as one after another: the check of the model remembers some hundred samples,
-and a slow sensor has one in a few steps."""
 ESTIMATE_A_LOAD = (
     "Where nobody knows the error, an estimated load, or a larger one (disturbance in design, model.with_disturbance), takes up "
     "much of what acts where the control does, and noise= of further inputs what acts there."
@@ -321,7 +318,7 @@ class Result(Mapping[str, Floats]):
         These are faults of several sensors, also of one after another, because the check remembers some hundred samples, and one
         of the only sensor of a quantity. If all sensors are blamed, the model is the simpler explanation.
         """
-        from bayesftc.cosim.judging.signals import ALARM
+        from bayesftc.cosim.judging.signals import ALARM, REMEMBERED
 
         probability = np.ravel(self.get(f"{block}.fault_probability", np.zeros((k + 1, 0)))[k])
         blamed = np.flatnonzero(probability >= ALARM).tolist()

@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +12,11 @@ from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
-from bayesftc.cli.commands.recordings.monitor import _rate, monitor as monitor_command
+from bayesftc.cli.commands.recordings.monitor import _rate, _remedy, monitor as monitor_command
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, Monitor, Signal, align, load_monitor
+from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, Monitor, SensorErrors, Signal, align, load_monitor
 
 RUNNER = CliRunner()
 
@@ -782,3 +783,14 @@ def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
         "From 80.00 to 90.00 s it is open which of b and c is faulty (the sum of two fault probabilities reaches 0.97)"
         in printed
     )
+
+
+@pytest.mark.parametrize("with_errors", [[], ["a"], ["a", "b"]])
+def test_more_motion_is_advised_with_the_fault_that_the_fit_may_have_taken_for_lasting_errors(with_errors):
+    """Errors of all sensors that are blamed are no fault of one of them."""
+    errors = [SensorErrors(0.3, 40.0, [name]) for name in with_errors]
+    fitted = SimpleNamespace(model=SimpleNamespace(errors=errors, sensors={"a": None, "b": None}))
+    suspicion = SimpleNamespace(sensors=("a", "b"), setting="motion")
+    words = _remedy(None, fitted, suspicion, Path("model.toml"))
+    assert words.startswith("Change it in model.toml and give --model model.toml without --fit.")
+    assert ("If a failed in this recording, which the model now expects" in words) == (with_errors == ["a"])

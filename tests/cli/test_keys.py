@@ -42,6 +42,9 @@ def test_sections_files_and_mistakes(bayesftc_):
     assert "bayesftc keys scenario faults         [[faults]], [[input_faults.NAME]]" in listed
     for section in ("faults", "input_faults"):
         assert "Freeze" in bayesftc_("keys", "scenario", section).stdout
+    for section in ("known", "known.plant", "plant"):
+        assert "[plant], [known.plant]" in bayesftc_("keys", "scenario", section).stdout
+    assert bayesftc_("keys", "scenario", "plant.known").exit_code == 3
     assert "[[samples]]" in bayesftc_("keys", "campaign").stdout
     wrong = bayesftc_("keys", "scenario", "fautls")
     assert wrong.exit_code == 3

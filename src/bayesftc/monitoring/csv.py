@@ -122,9 +122,10 @@ class Tables:
         header, table = self._table(file)
         return [name for i, name in enumerate(header) if pd.to_numeric(table[i], errors="coerce").notna().any()]
 
-    def texts(self, file: Path, name: str) -> list[str]:
-        """Return the different texts of a column, in the order of their first rows."""
-        return [text for text in self._cells(file, name, "texts").dropna().unique() if isinstance(text, str)]
+    def texts(self, file: Path, name: str) -> dict[str, NDArray[np.bool_]]:
+        """Return the rows of each different text of a column, in the order of their first rows."""
+        cells = self._cells(file, name, "texts")
+        return {text: (cells == text).to_numpy() for text in cells.dropna().unique() if isinstance(text, str)}
 
     def has_dates(self, file: Path, column: int) -> bool:
         """Return whether a column, by its number, has dates."""

@@ -20,7 +20,7 @@ def test_a_pole_of_any_size_gives_finite_observers_or_none(pole):
     if found is None:
         assert pole > 1e6
     else:
-        assert np.isfinite(found.correction).all()
+        assert np.isfinite(found.gain).all()
         assert np.abs(np.linalg.eigvals(model.matrix("A") - found.gain[0] @ model.matrix("C"))).max() < 1.0
 
 
@@ -78,7 +78,7 @@ def test_a_fading_memory_is_an_ordinary_filter_with_more_noise():
     bank = observers(model)
     P = solve_discrete_are(model.A.T, model.C.T, bank.noise[0], model.matrix("sensor_covariance"))
     S = model.C @ P @ model.C.T + 0.01
-    np.testing.assert_allclose(bank.correction[0], P @ model.C.T / S, rtol=1e-6)
+    np.testing.assert_allclose(bank.gain[0], model.A @ P @ model.C.T / S, rtol=1e-6)
     np.testing.assert_allclose(bank.whiten[0], 1.0 / np.sqrt(S), rtol=1e-6)
 
 

@@ -947,10 +947,15 @@ def test_a_table_with_a_row_for_each_value_is_named_with_the_remedy(quality, tmp
         [pd.DataFrame({"t": times, "Tag": tag, "Value": 20.0 + 0.1 * rng.standard_normal(400)}) for tag in ("T1", "T2")]
     )
     if quality:
-        rows.insert(1, "Quality", "Good")
+        rows.insert(1, "Quality", rng.choice(["Good", "Bad", "Uncertain"], len(rows)))
     for order in ("Tag", "t"):
         rows.sort_values(order, kind="stable").to_csv(tmp_path / "long.csv", index=False)
         with pytest.raises(RecordingError, match=r"its column 'Tag' says of what \(T1, T2\)\. Give each a column"):
             recorded(tmp_path / "long.csv")
+    set_back = rows[rows["Tag"] == "T1"].assign(Tag=np.repeat(["Good", "Bad"], 200))
+    set_back["t"] -= np.where(set_back["t"] > 150.0, 60.0, 0.0)  # a clock, beside a column of good and bad values
+    set_back.to_csv(tmp_path / "one.csv", index=False)
+    with pytest.raises(RecordingError, match="do not increase"):
+        recorded(tmp_path / "one.csv")
     rows.pivot(index="t", columns="Tag", values="Value").to_csv(tmp_path / "wide.csv")
     assert list(recorded(tmp_path / "wide.csv").sensors) == ["T1", "T2"]

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 MOST_TAGS = 100
 """Largest number of different texts of a column that may say which sensor each row is of."""
 
+IN_ORDER = 0.9
+"""Share of rows whose time is later than all before, which the rows of one sensor have: a logger may repeat some."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -174,19 +177,24 @@ def without_numbers(tables: Tables) -> list[str]:
     return list(dict.fromkeys(named))
 
 
+def _in_order(times: Floats) -> float:
+    """Return the share of times that are later than all before."""
+    return float(np.mean(np.diff(np.maximum.accumulate(times)) > 0)) if len(times) > 1 else 1.0
+
+
 def _refuse_rows_of_tags(tables: Tables, file: Path, time: str, times: Floats) -> None:
     """Refuse a table with a row for each value, as historians export it: the times come again for each text of a column."""
     values = [name for name in tables.numeric(file) if name != time]
-    if len(values) != 1 or np.all(np.diff(times) > 0):
+    if len(values) != 1 or _in_order(times) >= IN_ORDER:
         return
-    texts = {name: tables.texts(file, name) for name in tables.names(file) if name not in (time, *values)}
-    name = max(texts, key=lambda each: len(texts[each]), default="")  # beside it may be one of good and bad values
-    if 1 < len(texts.get(name, ())) <= MOST_TAGS:
-        what = ", ".join(texts[name][:3]) + ", ..." * (len(texts[name]) > 3)
-        raise RecordingError(
-            f"{os.fspath(file)} has a row for each value: its column {name!r} says of what ({what}). Give each a column, for "
-            f"example with pandas: table.pivot(index={time!r}, columns={name!r}, values={values[0]!r}).to_csv('wide.csv')."
-        )
+    for name in tables.names(file):
+        texts = tables.texts(file, name) if name not in (time, *values) else {}
+        if 1 < len(texts) <= MOST_TAGS and min(_in_order(times[rows]) for rows in texts.values()) >= IN_ORDER:
+            what = ", ".join(list(texts)[:3]) + ", ..." * (len(texts) > 3)
+            raise RecordingError(
+                f"{os.fspath(file)} has a row for each value: its column {name!r} says of what ({what}). Give each a column, for "
+                f"example with pandas: table.pivot(index={time!r}, columns={name!r}, values={values[0]!r}).to_csv('wide.csv')."
+            )
 
 
 def _column(name: str, columns: Sequence[str]) -> str:

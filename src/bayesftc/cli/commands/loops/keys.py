@@ -91,10 +91,7 @@ def keys(
     parts = [(f"{title}  {p.title}".rstrip(), p) for title, ps in FILES[file].items() for p in ps]
     tables = [(title, kind, cls, part.without) for title, part in parts for kind, cls in classes(part)]
     chosen = [
-        t
-        for t in tables
-        if section is None
-        or section in (*section_words(t[0]), *re.findall(r"[a-z_]+\.[a-z_]+", t[0]), t[1], t[2].__name__)
+        t for t in tables if section is None or section in section_words(t[0]) or section in (t[1], t[2].__name__)
     ]
     if not chosen:
         names = {
@@ -125,7 +122,7 @@ def classes(part: Part) -> list[tuple[str, type]]:
 
 def section_words(title: str) -> list[str]:
     """Return the names by which a section is chosen: those of its title in lower case."""
-    return re.findall(r"[a-z_]+", title)
+    return [*re.findall(r"[a-z_]+", title), *re.findall(r"[a-z_]+\.[a-z_]+", title)]
 
 
 def _first_sentence(text: str) -> str:
