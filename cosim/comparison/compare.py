@@ -38,6 +38,8 @@ ROWS = 2000
 """Approximate largest number of instants of each run that are kept for the figure."""
 
 FIGURES = ("tracking.*.overall", "tracking.*.during", "sensors.*.false_alarm_rate")
+SAME = 1e-9
+"""Largest relative difference of two errors that count as equal: two ways to compute the same differ by rounding."""
 PHASES = {"overall": "", "during": "_in_faults"}
 """The compared phases of a run, and the endings of their columns."""
 
@@ -188,10 +190,12 @@ class Comparison:
         first = next(iter(self.loops))
         table = compare_levels(self.runs, metric, "loop", against=first, level=self.level).set_index("first")
         by_loop = self.runs.pivot(index="seed", columns="loop", values=metric)
+        gaps = by_loop.sub(by_loop[first], axis=0)
+        gaps = gaps.mask(gaps.abs().le(SAME * by_loop[first].abs(), axis=0), 0.0)
         return {
             str(name): {
-                **{key: float(row[key]) for key in ("difference", "low", "high")},
-                "wins": float((by_loop[name] < by_loop[first]).sum()),
+                **{key: 0.0 if (gaps[name] == 0).all() else float(row[key]) for key in ("difference", "low", "high")},
+                "wins": float((gaps[name] < 0).sum()),
                 "pairs": float(row["n_first"]),
             }
             for name, row in table.iterrows()
@@ -298,7 +302,8 @@ def compare(
         if not any(quantity.goal is not None and quantity.truth for quantity in find_roles(loop).quantities):
             raise ModelError(
                 f"No known signal of the loop {name!r} has a goal, so that there is no tracking error. Track a measured signal, "
-                "or name what the goal is for: a controller by goal_names=['angle'], a Subsystem of yours by goals=['angle']."
+                "or name what the goal is for: a controller by goal_names=['angle'] (also a block of your own), a Subsystem of "
+                "yours by goals=['angle']."
             )
     campaign = Campaign(
         _Chosen(dict(loops)),

@@ -362,6 +362,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     goals = 0 if given is None else given.size
     named = getattr(controller.block, "goals", ())
     named = named if isinstance(controller.block, Boundary) else ()
+    titles = told.get(GOALS, ())
     roles = []
     for number, (row, members) in enumerate(groups.items()):
         used = [(weight, place) for weight, place in zip(row, inputs, strict=True) if weight and place is not None]
@@ -372,8 +373,8 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
         goal = number if goals == len(groups) and (C is None or G is None) else None  # without matrices: in order
         if weights is not None and G is not None:
             goal = next((g for g, row_of_goal in enumerate(G) if np.array_equal(row_of_goal, weights)), None)
-        if named:
-            goal = named.index(name) if name in named else None
+        if names := named or (titles if G is None else ()):
+            goal = names.index(name) if name in names else None
         reference = None if goal is None else _reference(diagram, controller, goal)
         belief = tuple(map(float, weights)) if weights is not None and estimates else None
         roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
@@ -381,7 +382,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
     for name in named:
         if name not in known:
             raise ModelError(f"The subsystem {controller.name!r} has a goal for {name!r}; {did_you_mean(name, known)}")
-    for goal, name in enumerate(told.get(GOALS, ())):
+    for goal, name in enumerate(titles):
         if any(role.goal == goal or role.name == name for role in roles):
             continue
         place, unit = _output(_before(diagram, sensor_node, controller), name)

@@ -47,8 +47,12 @@ def is_controller(node: Node) -> bool:
 
 
 def find_controller(diagram: Diagram) -> Node:
-    """Return the node of the controller: the block with inputs ``y`` and ``goal`` and the output ``u``."""
-    nodes = [node for node in diagram.nodes if is_controller(node)]
+    """Return the node of the controller: the block with inputs ``y`` and ``goal`` and the output ``u``.
+
+    Blocks inside a subsystem that is itself a controller are its parts.
+    """
+    every = [node for node in diagram.nodes if is_controller(node)]
+    nodes = [node for node in every if not any(node.name.startswith(f"{other.name}.") for other in every)]
     if len(nodes) != 1:
         own = " Make a Subsystem of the estimator and your law." if any(map(_is_estimator, diagram.nodes)) else ""
         raise ModelError(

@@ -173,3 +173,49 @@ def test_plants_of_other_names_are_refused():
     first = loop_of(SERFDI(), faults=[FAULT])
     with pytest.raises(ModelError, match="The loop 'a' has the block 'plant' "):
         cosim.compare({"a": first, "b": other}, duration=1.0, seeds=2)
+
+
+def around(controller, scale):
+    """A subsystem around a controller that scales its samples and scales them back: the same but for rounding."""
+    inside = cosim.Diagram(dt=0.1)
+    there, back = inside.add(cosim.Gain(scale * np.eye(2)), "there"), inside.add(cosim.Gain(np.eye(2) / scale), "back")
+    law = inside.add(controller, "law")
+    inside.connect(there["y"], back["u"])
+    inside.connect(back["y"], law["y"])
+    return cosim.Subsystem(inside, inputs={"y": "there.u", "goal": "law.goal"}, outputs={"u": "law.u"}, goals=["y"])
+
+
+def test_rounding_is_no_win_and_a_subsystem_around_a_controller_is_one_controller():
+    """The inner block was counted as a second controller, and 6 of 6 runs were won by 1e-15."""
+    loop = loop_of(FixedPrecision())
+    same = loop_of(FixedPrecision(), controller=around(loop.nodes[-1].block, 3.0))
+    table = cosim.compare({"block": loop, "subsystem": same}, duration=5.0, seeds=4).table
+    row = table.iloc[1]
+    assert row["error"] == pytest.approx(table.iloc[0]["error"], rel=1e-12)
+    assert (row["difference"], row["low"], row["high"], row["wins"], row["pairs"]) == (0, 0, 0, 0, 4)
+
+
+def difference(y, goal, u):
+    u[0] = goal[0] - y[1]
+
+
+class Own(cosim.Block):
+    """A law of a user for one goal, with sensors of two quantities."""
+
+    inputs = (cosim.Port("y", (2,)), cosim.Port("goal", (1,)))
+    outputs = (cosim.Port("u", (1,)),)
+    goal_names = ("v",)
+
+    def define(self, step):
+        return cosim.Definition(difference)
+
+
+def test_a_block_of_ones_own_says_by_goal_names_what_its_goal_is_for():
+    system = control.ss([[1.0, 0.1], [0.0, 0.9]], [[0.0], [0.1]], np.eye(2), 0, 0.1, inputs=["u"], outputs=["x", "v"])
+    loop = cosim.closed_loop(
+        system, Own(), control="u", measured=["x", "v"], dt=0.1, sensors=cosim.Sensors(2, 0.1, signals=2), reference=1.0
+    )
+    result = loop.simulate(2.0, seed=1)
+    tracking = figures(loop_signals(loop, result)).tracking
+    assert tracking["v"].overall == pytest.approx(np.sqrt(np.mean((result["plant.v"] - 1.0) ** 2)), rel=1e-9)
+    assert np.isnan(tracking["x"].overall)
