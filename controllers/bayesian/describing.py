@@ -148,8 +148,8 @@ def gain_lines(controller: BayesianController) -> list[str]:
     gains = controller.steady_gains()
     return [
         f"Gain of the filter, a row for each state: {_rows(gains.K)}.",
-        f"Gain of the control on the belief, a row for each control: {_rows(gains.L)}.",
-        f"Gain of the control on the goal, a row for each control: {_rows(gains.M)}.",
+        f"The control is F goal - K belief. K, a row for each control: {_rows(gains.L)}.",
+        f"F, a row for each control: {_rows(gains.M)}.",
     ]
 
 

@@ -165,8 +165,8 @@ def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner
         "probably wrong, or others have failed for a time as well."
     )
     return (
-        f"The controller blames {who}. Without the samples for which it blames {which}, there is not enough evidence against the "
-        f"model. {cause} A run without faults of sensors may name the error."
+        f"The controller blames {who}. Apart from the samples for which it blames {which}, nothing certain speaks "
+        f"against the model. {cause} If the run has faults of sensors, one without them may name the error."
     )
 
 
@@ -217,15 +217,16 @@ def _dt(values: Sequence[float], model: LinearModel) -> str:
     f, dt = values[0], float(model.step)
     return (
         f"the plant is {f:.3g} times as fast as the model. Check dt: A and B fit a sample time of {dt / f:.3g} s, but dt is "
-        f"{dt:.3g} s. If dt is right, check the masses and inertias: of a plant of first order, {1 / f:.3g} times those of the "
-        "model would have the same effect."
+        f"{dt:.3g} s. If dt is right, a part of the plant is {'faster' if f > 1 else 'slower'} than in the model: check the "
+        f"masses, inertias and stiffnesses. Of a plant of first order, {1 / f:.3g} times the model's mass would have the same "
+        "effect."
     )
 
 
 def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds = values[0]
     if values[1]:
-        how = f"the control acts late: the actuator has a lag with a time constant of about {seconds:.2g} s"
+        how = f"the control acts late: the actuator has a further lag, with a time constant of about {seconds:.2g} s"
         remedy = (
             "Add a state with this lag between the control and the plant that you design for. Less exactly, give the model a "
             "delay of about that time"
@@ -233,7 +234,8 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     else:
         how = f"the control acts late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
         remedy = "Give the model this delay"
-    return f"{how}. {remedy} (LinearModel.with_delays), or weaken the control."
+    swing = " A load that swings all the time, as of a rotor, may look like this lag." if values[1] else ""
+    return f"{how}. {remedy} (LinearModel.with_delays), or weaken the control.{swing}"
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
@@ -394,11 +396,12 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
 
 def _unknown(values: Sequence[float], model: LinearModel) -> str:
     return (
-        "the plant moves differently from A, B and C of the model, and no simple explanation fits the run: not the sign, gain, "
-        "delay or limit of a control, not dt, not one or two loads of constant size, not other linear dynamics. There may be "
-        "several causes, such as loads that change and sensor faults: diagnose a shorter run, or the begin of this one "
-        "(diagnose_recording). If the model is wrong there as well, identify it anew from a recording in which the controls move "
-        f"the plant (LinearModel.identify). Against loads that change, {_estimate('them', model)}."
+        "neither A, B and C of the model nor its noise explain the plant's motion, and no simple explanation fits the run: not "
+        "the sign, gain, delay or limit of a control, not dt, not one or two loads of constant size, not other linear dynamics. "
+        "There may be several causes, such as loads that change, noise that comes in bursts, and sensor faults: diagnose a "
+        "shorter run, or the begin of this one (diagnose_recording). If the model is wrong there as well, identify it anew from "
+        "a recording in which the controls move the plant (LinearModel.identify). Against loads that change, "
+        f"{_estimate('them', model)}."
     )
 
 

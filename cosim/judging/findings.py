@@ -144,12 +144,18 @@ def plain_findings(signals: LoopSignals) -> list[dict[str, Any]] | None:
     return [asdict(each) for each in findings(signals)]
 
 
+def _moves(quantity: QuantitySignals) -> bool:
+    """Return whether a quantity's reference changes, or is not recorded although there is one."""
+    reference = quantity.reference
+    return quantity.has_goal if reference is None else len(np.unique(reference[np.isfinite(reference)])) > 1
+
+
 def numbers_of(signals: LoopSignals) -> dict[str, Any]:
     """Return the figures of a run, the controller's lag, units, and findings, as plain data for `tables_of` and files."""
     units = {q.name: q.unit for q in signals.quantities}
     step = float(signals.time[1] - signals.time[0]) if len(signals.time) > 1 else None
     return {
-        "law": signals.lag,
+        "law": signals.lag if any(map(_moves, signals.quantities)) else "",
         "units": units,
         "step": step,
         "hold": step and usual_hold(step),

@@ -41,8 +41,8 @@ PROCESS_REMARK = (
 NOTHING_FOUND = "The controller infers no fault."
 BEFORE = "A fault that begins while its sensor is blamed already counts as detected at once."
 FALSE_ALARMS = (
-    "False alarms: {}, which is {} to {} an hour of each sensor (95 % interval). One begins whenever a fault probability rises "
-    "to 0.5 without a fault, so that a row of inferred faults may have several. How to have fewer: "
+    "False alarms: {}, which is {} to {} an hour of each sensor (95 % interval). Each time that a fault probability of "
+    "a healthy sensor rises to 0.5 counts, also within one row of inferred faults. How to have fewer: "
     "docs/how-to/alarm-threshold.md."
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
@@ -86,7 +86,10 @@ ACTUATOR_ROWS: Sequence[Row] = (
     ("kind during alarms, mostly", "kind", "{}"),
     ("mean size of that kind", "size", "{:.4g}"),
 )
-ACTUATORS = "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control."
+ACTUATORS = (
+    "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control. A share above 1 says "
+    "that the plant answers more strongly there than the model."
+)
 
 
 @dataclass(frozen=True)

@@ -1149,20 +1149,20 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
     blames = np.zeros((500, 4), dtype=bool)
     blames[100:300, 0] = blames[200:400, 1] = blames[300:500, 2] = True  # one after another
     said = _without_blamed(three, np.zeros((500, 4)), blames, lambda samples: None).sentence
-    assert said.startswith("The controller blames sensors 0, 1 and 2, at most 2 of them at the same time. Without")
+    assert said.startswith("The controller blames sensors 0, 1 and 2, at most 2 of them at the same time. Apart")
 
     def only_without_all(samples):
         return None if np.isnan(samples[130]).sum() == 2 else controllers.ModelFinding("unknown", "")
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all)
     assert finding.sentence.startswith(
-        "The controller blames sensor 0. Without the samples for which it blames any sensor"
+        "The controller blames sensor 0. Apart from the samples for which it blames any sensor"
     )
     blamed[120:400, 1] = True
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
     assert finding.kind == "sensors"
     assert (
-        "The controller blames sensors 0 and 1 at the same time. Without the samples for which it blames them"
+        "The controller blames sensors 0 and 1 at the same time. Apart from the samples for which it blames them"
         in finding.sentence
     )
     assert "or the model is wrong" in finding.sentence
@@ -1245,4 +1245,6 @@ def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):
     )  # fmt: skip
     finding = controllers.diagnose(loop.simulate(8.0, seed=seed), loop)
     assert (finding.kind, finding.others) == ("sensors", ("onset",))
-    assert finding.sentence.startswith("The controller blames sensors 0 and 1. Without the samples for which it blames")
+    assert finding.sentence.startswith(
+        "The controller blames sensors 0 and 1. Apart from the samples for which it blames"
+    )

@@ -106,16 +106,18 @@ def test_it_prints_aligned_tables(result):
 
 
 @pytest.mark.parametrize(
-    ("preview", "sentence"),
+    ("preview", "reference", "sentence"),
     [
         (
             0,
+            cosim.Sine(1.0, 4.0),
             " The regulator lags behind a moving reference. If that is known n samples ahead, give the controller preview=n.",
         ),
-        (20, ""),
+        (20, cosim.Sine(1.0, 4.0), ""),
+        (0, 1.0, ""),  # a constant one: the lag is no cause of the error
     ],
 )
-def test_it_says_of_a_tracking_error_that_the_regulator_lags(tmp_path, preview, sentence):
+def test_it_says_of_a_tracking_error_that_the_regulator_lags(tmp_path, preview, reference, sentence):
     """bayesftc run said it alone, and an error of tracking that the law has by itself looked like a wrong design."""
     mass = control.ss([[0.0, 1.0], [0.0, -1.0]], [[0.0], [1.0]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
     controller = controllers.design(
@@ -123,7 +125,7 @@ def test_it_says_of_a_tracking_error_that_the_regulator_lags(tmp_path, preview, 
         preview=preview,
     )  # fmt: skip
     loop = cosim.closed_loop(
-        mass, controller, control="force", measured="x", sensors=cosim.Sensors(1, 0.01), reference=cosim.Sine(1.0, 4.0)
+        mass, controller, control="force", measured="x", sensors=cosim.Sensors(1, 0.01), reference=reference
     )
     result = loop.simulate(1.0)
     result.save(tmp_path / "result.npz")
