@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers.models.checks import as_number, as_vector
-from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.ports import without_brackets
 from bayesftc.cosim.types import Floats
 
@@ -105,6 +105,11 @@ def chosen(names: Sequence[str], available: Sequence[str], kind: str) -> tuple[l
 
 def measured_by(sensors: int | Sequence[int] | None, outputs: int) -> list[int]:
     """Return the number of the output that each sensor measures: in turn, or so many sensors of each output."""
+    if isinstance(sensors, Mapping):
+        raise ModelError(
+            f"sensors is {brief(sensors)}; give the numbers without names, in the order of the measured outputs: "
+            f"sensors={tuple(sensors.values())}."
+        )
     if sensors is None or np.ndim(sensors) == 0:
         count = outputs if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
         if count % outputs:

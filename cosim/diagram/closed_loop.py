@@ -327,7 +327,8 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
         )
     if not isinstance(sensors, Sensors | None):
         raise ModelError(
-            f"sensors is {brief(sensors)}; it must be a Sensors block, such as cosim.Sensors(count=2, std=0.01)."
+            f"sensors is {brief(sensors)}; it must be one Sensors block, such as cosim.Sensors(count=2, std=0.01), or, for two "
+            "sensors of the first measured output and one of the second, cosim.Sensors(count=(2, 1), std=(0.01, 0.1))."
         )
     if not isinstance(noise, Mapping | None):
         raise ModelError(

@@ -268,6 +268,8 @@ def test_outputs_may_have_different_numbers_of_sensors():
         cosim.closed_loop(tank, four, control=["valve", "heater"], measured=["h", "T"], reference=[1.0, 5.0])
     with pytest.raises(ModelError, match=r"3 sensors are not a multiple of 2 .* sensors=\(1, 3\)"):
         design(tank, **settings, sensors=3)
+    with pytest.raises(ModelError, match=r"without names, in the order of the measured outputs: sensors=\(1, 3\)"):
+        design(tank, **settings, sensors={"h": 1, "T": 3})
     with pytest.raises(ModelError, match="sensors has 3 numbers for 2 measured outputs"):
         design(tank, **settings, sensors=(1, 1, 1))
 

@@ -173,7 +173,7 @@ def test_references(reference):
             cosim.UnknownNameError,
             r"='sped'. Block 'plant' has no port 'sped'; did you mean 'speed'",
         ),
-        ({"control": "froce", "sensors": 2}, cosim.ModelError, r"must be a Sensors"),
+        ({"control": "froce", "sensors": 2}, cosim.ModelError, r"must be one Sensors"),
         (
             {"control": "froce", "reference": [1.0, 2.0]},
             cosim.UnknownNameError,
@@ -254,7 +254,11 @@ def test_references(reference):
         ({"plant": "car.fmu"}, cosim.ModelError, r"plant must be a block, not 'car.fmu'; use cosim.FMU\(path\)"),
         ({"plant": np.eye(2)}, cosim.ModelError, r"not array\(\[\[1.*use cosim"),
         ({"controller": control}, cosim.ModelError, r"controller must be a block, not <function control"),
-        ({"sensors": 2}, cosim.ModelError, r"sensors is 2; it must be a Sensors block, such as cosim.Sensors\(count=2"),
+        (
+            {"sensors": 2},
+            cosim.ModelError,
+            r"sensors is 2; it must be one Sensors block, such as cosim.Sensors\(count=2",
+        ),
         ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),
         (
             {"dt": 0.1},
