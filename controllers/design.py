@@ -106,7 +106,8 @@ def design(
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
-        Inputs at the operating point; by default their start values.
+        Inputs at the operating point; by default the start values of an FMU. A nonlinear system of python-control has none: they
+        are 0, or for controls what holds a steady state nearer to the plant's start, as the thrust of a drone that hovers.
     order : int, optional
         Number of states of a model by pulse responses.
     sensors : int or sequence of int, optional

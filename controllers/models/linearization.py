@@ -337,7 +337,7 @@ def _of_nonlinear(
         moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
         return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
 
-    x, u, rate = _rest(residual, x, u, _free(actuated, known_inputs, at))
+    x, u, rate = _rest(residual, x, u, _free(actuated, known_inputs, at), stated=False)
     with np.errstate(over="ignore", invalid="ignore"):  # a result that is not finite is refused
         whole = derivative(both, np.concatenate([x, u]))
     a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
@@ -446,11 +446,13 @@ def _held(inputs: Sequence[str], at: Mapping[str, Any]) -> tuple[tuple[str, floa
 
 
 def _rest(
-    residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None
+    residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None, *, stated: bool = True
 ) -> tuple[Floats, Floats, Floats | None]:
     """Find a steady state near the start, if necessary with other inputs.
 
-    If there is none, a steady motion suffices: states on which nothing depends (the position of a car) change at a constant rate.
+    Inputs that are not `stated` are also those that hold the start best, where this gives a nearer steady state. If there is
+    none with either, states and inputs are searched together. If there is none, a steady motion suffices: states on which
+    nothing depends (the position of a car) change at a constant rate.
     The result is state, inputs and this rate; None if it is zero.
 
     Raises
@@ -458,8 +460,6 @@ def _rest(
     ModelError
         If there is neither.
     """
-    from scipy.optimize import least_squares
-
     size = np.maximum(np.abs(x), 1.0 if scale is None else scale)
     n = len(x)
 
@@ -474,25 +474,49 @@ def _rest(
         if np.abs(change(z)).max(initial=0.0) <= 1e-9:
             return x, u, None
         still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
-    ways: list[tuple[Floats, Any]] = [(z, change)]
-    ways += [(np.concatenate([z, u[list(free)]]), change)] if len(free) else []
-    ways += [(z, lambda z: np.where(still, 0.0, change(z)))] if still.any() else []
-    for start, f in ways:
-        try:
-            with np.errstate(all="ignore"):  # the search may try states at which the equations overflow
-                found = least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        except (ValueError, np.linalg.LinAlgError):  # a value is not finite
-            continue
-        if np.abs(found.fun).max() <= 1e-8:
-            inputs = u.copy()
-            if len(start) > n:
-                inputs[list(free)] = found.x[n:]
-            rest = found.x[:n] * size
-            return rest, inputs, None if f is change else np.where(still, residual(rest, inputs), 0.0)
+
+    def search(f: Any, start: Floats) -> Floats | None:
+        """Return where f is zero near a start; None if nowhere."""
+        found = _least(f, start)
+        with np.errstate(all="ignore"):
+            return found if np.abs(f(found)).max() <= 1e-8 else None
+
+    given = u[list(free)]
+    rest = search(change, z)
+    if len(free):
+        if not stated:
+            held = _least(lambda w: change(np.concatenate([z, w])), given)
+            other = search(lambda z: change(np.concatenate([z, held])), z)
+            if other is not None and (rest is None or np.abs(other - z).max() < np.abs(rest - z).max()):
+                rest, u = other, _put(u, free, held)
+        if rest is None and (both := search(change, np.concatenate([z, given]))) is not None:
+            rest, u = both[:n], _put(u, free, both[n:])
+    if rest is not None:
+        return rest * size, u, None
+    if still.any() and (rest := search(lambda z: np.where(still, 0.0, change(z)), z)) is not None:
+        return rest * size, u, np.where(still, residual(rest * size, u), 0.0)
     raise ModelError(
         "No steady state was found near the start, even without integrators on which nothing depends"
         f"{' and with any actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
     )
+
+
+def _least(f: Any, start: Floats) -> Floats:
+    """Return where f is smallest near a start; the start if f is not finite there."""
+    from scipy.optimize import least_squares
+
+    try:
+        with np.errstate(all="ignore"):
+            return np.asarray(least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+    except (ValueError, np.linalg.LinAlgError):
+        return start
+
+
+def _put(values: Floats, places: Sequence[int], given: Floats) -> Floats:
+    """Return values of which those at the places are others."""
+    changed = values.copy()
+    changed[list(places)] = given
+    return changed
 
 
 def _sampled(a: Floats, b: Floats, step: Fraction) -> tuple[Floats, Floats]:

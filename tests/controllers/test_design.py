@@ -142,6 +142,32 @@ def test_noise_does_not_hold_the_plant_at_its_operating_point():
     np.testing.assert_allclose(controller.model.operating_control, [1.5 * 9.81], rtol=1e-6)
 
 
+def test_the_operating_point_is_the_steady_state_nearest_to_the_start():
+    """A plant that starts steady with an inflow had a model of the empty tank, the steady state without inflow."""
+    tank = control.nlsys(
+        lambda t, x, u, params: (u - 0.3 * np.sqrt(np.abs(x))) / 2.0,
+        lambda t, x, u, params: x,
+        inputs=["inflow"], outputs=["level"], states=["level"],
+    )  # fmt: skip
+    settings = {"measured": "level", "actuated": "inflow", "dt": 1.0}
+    for level in (0.1, 0.5, 2.0):
+        found = linearize(cosim.StateSpace(tank, initial=[level]), **settings)
+        np.testing.assert_allclose(found.x, [level], rtol=1e-7)
+        np.testing.assert_allclose(found.u, [0.3 * np.sqrt(level)], rtol=1e-7)
+    found = linearize(cosim.StateSpace(tank, initial=[0.5]), at={"inflow": 0.3}, **settings)  # a given input stays
+    np.testing.assert_allclose((found.x, found.u), ([1.0], [0.3]), rtol=1e-7)
+
+
+def test_a_drone_hovers_where_it_starts():
+    """With drag there is a steady state without thrust: a free fall, for which the altitude has no equation to rest."""
+    drone = control.nlsys(
+        lambda t, x, u, params: [x[1], u[0] / 1.5 - 9.81 - 0.05 * x[1] * abs(x[1])], lambda t, x, u, params: x[:1],
+        inputs=["thrust"], outputs=["h"], states=["h", "v"],
+    )  # fmt: skip
+    found = linearize(cosim.StateSpace(drone, initial=[10.0, 0.0]), measured="h", actuated="thrust", dt=0.02)
+    np.testing.assert_allclose((found.x, [*found.u, 0.0]), ([10.0, 0.0], [1.5 * 9.81, 0.0]), rtol=1e-7)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
