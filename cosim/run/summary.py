@@ -87,8 +87,8 @@ ACTUATOR_ROWS: Sequence[Row] = (
     ("mean size of that kind", "size", "{:.4g}"),
 )
 ACTUATORS = (
-    "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control. A share above 1 says "
-    "that the plant answers more strongly there than the model."
+    "Size: for LostEffect the lost share of the effect, otherwise in the unit of the control. With a share above 1 "
+    "the plant may answer more strongly there than the model."
 )
 
 
