@@ -257,7 +257,7 @@ def test_references(reference):
         (
             {"sensors": 2},
             cosim.ModelError,
-            r"sensors is 2; it must be one Sensors block, such as cosim.Sensors\(count=2",
+            r"sensors is 2; it must be one Sensors block, such as .*one of the second, cosim\.Sensors\(count=\(2, 1\)",
         ),
         ({"noise": cosim.Gaussian(1.0)}, cosim.ModelError, r"it must be a mapping from inputs of the plant to sources"),
         (
