@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
 from typing import Any, Literal
@@ -13,7 +13,7 @@ from bayesftc.controllers.bayesian.linear import UnstableLoopWarning
 from bayesftc.controllers.bayesian.lqg import LQGController
 from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable
 from bayesftc.controllers.bayesian.steady import moduli
-from bayesftc.controllers.diagnosis.plant_check import compare_with_plant
+from bayesftc.controllers.diagnosis.plant_check import ModelMismatchWarning, compare_with_plant
 from bayesftc.controllers.estimation.unused import warn_of_unused
 from bayesftc.controllers.identification.identify import Identification
 from bayesftc.controllers.linalg.riccati import predicted_covariance
@@ -107,7 +107,8 @@ def design(
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
         Inputs at the operating point; by default the start values of an FMU. A nonlinear system of python-control has none: they
-        are 0, or for controls what holds a steady state nearer to the plant's start, as the thrust of a drone that hovers.
+        are 0, or for controls what holds a steady state nearer to the plant's start, as the thrust of a drone that hovers;
+        where possible a value within the limits.
     order : int, optional
         Number of states of a model by pulse responses.
     sensors : int or sequence of int, optional
@@ -236,10 +237,14 @@ def design(
         as_number("initial_spread", initial_spread, least=0)
         sensors_of(places_of(sensed, out, "output"), sensors, sensor_std)
         with reported("Linearizing the plant, for some seconds."):
-            linear = linearize(
-                plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
+            linear = _within_limits(
+                lambda at: linearize(
+                    plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
+                ),
+                at or {},
+                driven,
+                (u_min, u_max),
             )
-        _refuse_out_of_range(linear, driven, u_min, u_max)
         refuse_unmoved(linear, driven)
         refuse_unmoving(linear, sensed)
         if noise is None:
@@ -402,16 +407,45 @@ def _load(disturbance: Matrix | bool | None, acceptable: float | Sequence[float]
     return (LOAD_STEP * scale) ** 2  # type: ignore[no-any-return]
 
 
-def _refuse_out_of_range(linear: Linearization, driven: Sequence[str], u_min: object, u_max: object) -> None:
-    """Refuse a given operating point that the limits of the controls exclude."""
+def _within_limits(
+    linearization: Callable[[Mapping[str, Any]], Linearization],
+    at: Mapping[str, Any],
+    driven: Sequence[str],
+    limits: tuple[object, object],
+) -> Linearization:
+    """Return the linearisation about a point that the limits of the controls allow, the one found or else one at a limit.
+
+    Raises
+    ------
+    ModelError
+        If the limits exclude the given operating point.
+
+    Warns
+    -----
+    ModelMismatchWarning
+        If no steady state within the limits was found.
+    """
+    linear = linearization(at)
     columns, given = linear.columns(driven), dict(linear.held)
-    low, high = (as_vector(name, of, len(columns), finite=False) for name, of in (("u_min", u_min), ("u_max", u_max)))
-    for name, least, most in zip((linear.inputs[j] for j in columns), low, high, strict=True):
-        if name in given and not least <= given[name] <= most:
-            raise ModelError(
-                f"The operating point has {name} = {given[name]:g}, but u_min and u_max limit it to {least:g} ... {most:g}. "
-                "Change at= or the limits."
-            )
+    low, high = (
+        as_vector(name, of, len(columns), finite=False) for name, of in zip(("u_min", "u_max"), limits, strict=True)
+    )
+    nearest = {linear.inputs[j]: float(np.clip(linear.u[j], a, b)) for j, a, b in zip(columns, low, high, strict=True)}
+    outside = [j for j in columns if not np.isclose(linear.u[j], nearest[linear.inputs[j]], rtol=1e-9, atol=1e-12)]
+    for j in outside:
+        name, (least, most) = linear.inputs[j], (side[columns.index(j)] for side in (low, high))
+        text = f"The operating point has {name} = {linear.u[j]:.6g}, but u_min and u_max limit it to {least:g} ... {most:g}."
+        if name in given:
+            raise ModelError(f"{text} Change at= or the limits.")
+    if not outside or not (linear.x.any() or linear.u.any() or linear.y.any()):  # a linear system has no such point
+        return linear
+    try:
+        return linearization({**at, **{linear.inputs[j]: nearest[linear.inputs[j]] for j in outside}})
+    except ModelError:
+        warn_user(
+            f"{text} No steady state within the limits was found. Give at=, or change the limits.", ModelMismatchWarning
+        )
+        return linear
 
 
 def _positive(name: str, value: object, size: int) -> Floats:

@@ -168,6 +168,29 @@ def test_a_drone_hovers_where_it_starts():
     np.testing.assert_allclose((found.x, [*found.u, 0.0]), ([10.0, 0.0], [1.5 * 9.81, 0.0]), rtol=1e-7)
 
 
+@pytest.mark.parametrize(("start", "steady", "heat"), [(5.0, 20.0, 0.0), (40.0, 40.0, 12.5), (200.0, 180.0, 100.0)])
+def test_the_operating_point_is_within_the_limits(start, steady, heat):
+    """A heater cannot cool: a room that starts below the temperature outside has no steady state there."""
+    room = control.nlsys(
+        lambda t, x, u, params: (0.8 * u - 0.5 * (x - 20.0)) / 30.0, lambda t, x, u, params: x,
+        inputs=["heat"], outputs=["T"], states=["T"],
+    )  # fmt: skip
+    controller = design(cosim.StateSpace(room, initial=[start]), dt=1.0, u_min=0.0, u_max=100.0)
+    point = controller.model.operating_state, controller.model.operating_control
+    np.testing.assert_allclose(point, ([steady], [heat]), rtol=1e-7, atol=1e-9)
+    assert controller.initial_mean[0] == start
+
+
+def test_a_control_that_cannot_hold_any_steady_state_is_said():
+    drone = control.nlsys(
+        lambda t, x, u, params: np.array([x[1], u[0] / 1.5 - 9.81]), lambda t, x, u, params: x[0],
+        inputs=["thrust"], outputs=["h"], states=["h", "v"],
+    )  # fmt: skip
+    words = r"thrust = 14.715, but u_min and u_max limit it to 0 \.\.\. 10. No steady state within the limits was found. Give at="
+    with pytest.warns(controllers.ModelMismatchWarning, match=words):
+        design(cosim.StateSpace(drone, initial=[10.0, 0.0]), dt=0.02, u_min=0.0, u_max=10.0)
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
