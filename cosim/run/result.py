@@ -460,7 +460,7 @@ class Result(Mapping[str, Floats]):
     def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
         """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.
 
-        An alarm whose kind changes for good has a row for each kind.
+        Where the kind of an alarm changes, each kind that lasts has a row.
 
         The columns are ``where`` (sensor, actuator or process), ``kind`` (empty if the learner distinguishes no kinds), ``onset``
         (estimated begin of the fault), ``from`` and ``until`` (begin and end of the row), all in seconds, ``size`` with its

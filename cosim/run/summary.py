@@ -20,8 +20,8 @@ ERRORS = "Root-mean-square errors (tracking: true value - reference; belief: est
 PHASES = {"overall": "whole run", "before": "before faults", "during": "during", "after": "after"}
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
-    "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); one whose kind "
-    f"changes for good has a row for each kind. {{}} Size: the last one of that kind. {DASH}: not estimated."
+    "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); where its "
+    f"kind changes, each kind that lasts has a row. {{}} Size: the last one of that kind. {DASH}: not estimated."
 )
 MANY_ALARMS, ALARMS_REMARK = (
     5,

@@ -281,6 +281,11 @@ def test_a_model_whose_belief_grows_without_bound(bayesftc_, tmp_path):
             "look at",
         ),
         (
+            {"\nstd = 1.0": "\nstd = 1.0\nbias = [0.0, 4.0]"},
+            "Its healthy samples differ from the true values by 4.01 m/s on average: an offset that the controller's model lacks",
+            "Look at",
+        ),
+        (
             {"process_covariance = 0.001": "process_covariance = 1e-5"},
             "Look at the model first",
             "but the model expects",
@@ -303,6 +308,14 @@ def test_what_explains_a_bad_run_is_a_note(bayesftc_, tmp_path, changes, said, u
     notes = " ".join(json.loads(bayesftc_("run", "car.toml", "--json").stdout)["notes"])
     assert said in notes
     assert unsaid not in notes
+
+
+@pytest.mark.parametrize("fault", ["", '[[input_faults.force]]\nkind = "Bias"\nmagnitude = 1000.0\nstart = 3.0\n'])
+def test_an_input_fault_of_the_run_may_be_what_speaks_against_the_model(bayesftc_, tmp_path, fault):
+    (tmp_path / "car.toml").write_text(f"{CAR}\n{fault}")
+    numbers = json.loads(bayesftc_("run", "car.toml", "--duration", 20, "--json").stdout)
+    words = "This run has faults of force (above), and they may be all that speaks against the model"
+    assert [bool(numbers["model"]), words in " ".join(numbers["notes"])] == 2 * [bool(fault)]
 
 
 def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):

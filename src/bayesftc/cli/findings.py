@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.diagram.wiring import find_controller, find_inference, inferring
 from bayesftc.cosim.errors import BayesFTCError, UnknownNameError
 from bayesftc.cosim.judging.findings import advice_on, blamed_together, never_began, often_blamed
@@ -35,6 +36,12 @@ def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals
     hints = _hints(numbers, loop, result, signals)
     said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
     numbers["notes"] = [*said, *hints]
+    faulty = [of["name"] for of in numbers["inputs"] if of["fault_share"]]
+    if numbers["model"] and faulty:
+        numbers["notes"].append(
+            f"This run has faults of {' and '.join(faulty)} (above), and they may be all that speaks against the model: a run "
+            "without them tells."
+        )
     blaming = numbers["model"] or hints or result.suspicions
     numbers["model_without_error"] = None if blaming or not compared else compared
 
@@ -78,7 +85,10 @@ def _hints(numbers: Mapping[str, Any], loop: Diagram, result: Result, signals: L
 
 
 def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
-    """Return a sentence if a sensor's healthy samples are further from the true values than its model expects; else nothing."""
+    """Return a sentence if a sensor's healthy samples are further from the true values than its model expects; else nothing.
+
+    It names an offset that is most of their errors.
+    """
     of = signals.sensors[sensor]
     truth = next((q.truth for q in signals.quantities if sensor in q.sensors), None)
     covariance = getattr(getattr(controller, "model", None), "sensor_covariance", None)
@@ -89,6 +99,14 @@ def _scatter(signals: LoopSignals, sensor: int, controller: Block) -> str:
     expected = float(np.sqrt(np.asarray(covariance)[sensor, sensor]))
     errors = (of.samples - truth)[~of.faulty]
     subject = "Its healthy samples differ from the true values"
+    finite = errors[np.isfinite(errors)]
+    offset = float(finite.mean()) if len(finite) else 0.0
+    if abs(offset) > expected and 2 * offset**2 > np.mean(finite**2):
+        return (
+            f"{subject} by {offset:.3g}{behind(of.unit)} on average: an offset that the controller's model lacks is a fault to "
+            "it. State how large such offsets may be (sensor_bias in design or [controller]), and it estimates this one: "
+            "docs/how-to/biased-sensors.md."
+        )
     return scatter(errors, expected, of.unit, subject, "the square root of its sensor_covariance")
 
 

@@ -52,7 +52,7 @@ def print_faults(
             "alarms at the same time: the model is probably wrong."
         )
     if any(event.continued for event in events):
-        say("An alarm whose kind changes for good has a row for each kind.")
+        say("Where the kind of an alarm changes, each kind that lasts has a row.")
     say(f"{pauses(hold)} Size: at the end of the alarm. With x: the deviations as a multiple of the expected noise.")
     if any(isinstance(event, ActuatorEvent) for event in events):
         say("For an actuator: in the unit of its input. For LostEffect: the lost share of the effect.")
