@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from os.path import splitext
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -172,6 +173,12 @@ LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)
 """The remedy for a file that breaks the rules of FMI or SSP."""
 
 
+def _alike(name: str, other: str) -> bool:
+    """Return whether names of files are similar without the ending that they share, such as ``.toml``; True of other names."""
+    (stem, ending), (other_stem, other_ending) = splitext(name), splitext(other)
+    return not ending or ending != other_ending or bool(get_close_matches(stem, [other_stem], cutoff=0.6))
+
+
 def did_you_mean(name: object, names: Iterable[str], before: str = "", others: Iterable[str] = ()) -> str:
     """Return the end of a message about an unknown name: similar names if there are any, else all names.
 
@@ -181,7 +188,7 @@ def did_you_mean(name: object, names: Iterable[str], before: str = "", others: I
     names = sorted({*listed, *others})
     wrong = str(name).lower()
     near = [n for n in names if n.lower() == wrong] or [n for n in names if n.lower().endswith(f".{wrong}")][:3]
-    near = near or get_close_matches(str(name), names, n=3, cutoff=0.6)
+    near = near or [n for n in get_close_matches(str(name), names, n=3, cutoff=0.6) if _alike(str(name), n)]
     near = near or [n for n in names if len(wrong) > 2 and n.lower().startswith(wrong)][:3]
     if near:
         return f"did you mean {' or '.join(repr(before + n) for n in near)}?"
