@@ -36,6 +36,8 @@ MAIN, NARROW, STRIP = 2.1, 1.5, 0.8
 """Heights of panels in inches: of a quantity, of an input, and of the samples of one sensor."""
 MOST_STRIPS = 12
 """Largest number of sensors whose samples are drawn, so that the figure fits on a page."""
+FEW_SAMPLES = 50
+"""Most samples of a sensor that are drawn with larger marks: a reader looks for each of them."""
 NORMAL_95 = 1.96
 """Half width in standard deviations of the interval that contains a normal variable with a probability of 95 %."""
 
@@ -147,11 +149,11 @@ def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Fl
     if belief is not None:
         limit_axis(axis, time, [] if sensor.samples is None else [sensor.samples], [belief])
         axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
-    style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": 2.0, "mew": 0}
     assert sensor.samples is not None
-    given = ~np.isnan(
-        sensor.samples
-    )  # first, as thinning of the samples of a slow sensor with its pauses may leave none
+    # Before thinning, which may leave none of the samples of a slow sensor with its pauses.
+    given = ~np.isnan(sensor.samples)
+    size = 2.0 if given.sum() > FEW_SAMPLES else 4.0
+    style: dict[str, Any] = {"ls": "none", "marker": MARKERS[sensor.index % len(MARKERS)], "ms": size, "mew": 0}
     axis.plot(
         *thin_marks(time[given], sensor.samples[given]),
         color=colour_of(sensor.index),

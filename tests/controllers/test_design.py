@@ -181,6 +181,14 @@ def test_the_operating_point_is_within_the_limits(start, steady, heat):
     assert controller.initial_mean[0] == start
 
 
+def test_the_only_input_is_the_control_also_if_it_has_noise():
+    lag = control.ss([[-0.1]], [[0.1]], [[1.0]], 0.0, inputs=["u"], outputs=["y"])
+    assert design(lag, dt=1.0, noise={"u": 0.3}).model.names.controls == ("u",)
+    gusty = control.ss([[-0.1]], [[0.1, 0.2]], [[1.0]], 0.0, inputs=["u", "gust"], outputs=["y"])
+    assert design(gusty, dt=1.0, noise={"gust": 0.3}).model.names.controls == ("u",)
+    assert design(gusty, dt=1.0, noise={"gust": 0.3, "u": 0.1}).model.names.controls == ("u", "gust")
+
+
 def test_a_control_that_cannot_hold_any_steady_state_is_said():
     drone = control.nlsys(
         lambda t, x, u, params: np.array([x[1], u[0] / 1.5 - 9.81]), lambda t, x, u, params: x[0],
