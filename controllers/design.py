@@ -100,15 +100,15 @@ def design(
         of its sensors, if it has any, their numbers, or a matrix as in `LQGController`; by default each distinct output. For an
         `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
-        Names of the outputs that sensors measure, and of the inputs that the controller drives. By default all outputs, and all
-        inputs without `noise` (if each has some, all inputs), of a system of python-control; of an FMU if there is only one. Not
-        for a `LinearModel` or an `Identification`, which contains them.
+        Names of the outputs that sensors measure, and of the inputs that the controller drives. By default, of a system of
+        python-control, all outputs, and all inputs without `noise` (all inputs if each has noise). Of an FMU there is a default
+        only if it has a single output or input. Leave them out for a `LinearModel` or an `Identification`, which contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
-        Inputs at the operating point; by default the start values of an FMU. A nonlinear system of python-control has none: they
-        are 0, or for controls what holds a steady state nearer to the plant's start, as the thrust of a drone that hovers;
-        where possible a value within the limits.
+        Inputs at the operating point; by default the start values of an FMU. A nonlinear system of python-control has no
+        start values of inputs. Its inputs are then 0. Its controls may also get the values that hold a steady state nearer to
+        the plant's start, as the thrust of a drone that hovers. Where possible, the controls are within their limits.
     order : int, optional
         Number of states of a model by pulse responses.
     sensors : int or sequence of int, optional
@@ -118,25 +118,27 @@ def design(
         Standard deviation of the sensors' errors, noise and rounding together (`Sensors.error_std`): one for all, for each
         output, or for each sensor in the order of `sensors`.
     sensor_bias : number or vector
-        Standard deviation of a constant offset of each sensor, which is then estimated, in the unit of the sensor; 0 for a sensor
-        without offset. Of several sensors of a quantity, one needs to be without, unless another quantity shows what they share
-        (gyros beside a compass). See `LinearModel.with_sensor_errors`.
+        Standard deviation of a constant offset of each sensor, in the unit of the sensor; 0 for a sensor without offset. The
+        controller estimates the offsets. Of several sensors of a quantity, at least one must have no offset, unless a sensor of
+        another quantity shows their common offset (a compass that of gyros). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations; by default each control, with 5 % of half the range
         between its limits, or of `acceptable_control`. The noise is white: a new value in each sample. A disturbance that lasts,
         as a gust, is a state of the plant that such noise drives. Noise that is given replaces the default: name a control as
-        well if it has some. State it if you know better: if the plant moves far less at random, the belief follows the noise of
-        the sensors and is less accurate than its variance says, and equal sensors seem unequal. `describe()` prints the noise.
+        well if it has some. Give the noise if you know it. If the plant moves far less at random than the default assumes, the
+        belief follows the noise of the sensors: it is less accurate than its variance says, and equal sensors seem unequal.
+        `describe()` prints the noise.
     disturbance : bool, number, vector or matrix, optional
-        Covariance per sample of an unknown load on each control. It removes the steady error that a load or a plant unlike the
-        model would leave, and healthy sensors are blamed far less for it. True: the load moves in each sample by 1 % of
-        `acceptable_control`, or else of half the range of the limits (a standard deviation, chosen at sample times of 5 to 20
-        ms). With three or more sensors of a quantity this costs hardly anything; of two it is then less certain which one drifts.
+        Covariance per sample of an unknown load on each control. It removes the steady error that is due to a load, or to a plant
+        unlike the model; healthy sensors are then blamed far less. True: the standard deviation of the load's change in each
+        sample is 1 % of `acceptable_control`, or else of half the range of the limits (chosen at sample times of 5 to 20 ms).
+        With three or more sensors of a quantity this costs hardly anything. With two, it is then less certain which one drifts.
         What the model lacks elsewhere than at the control, such as behind a shaft, needs `noise` at an input of the plant that
-        acts there: without, the sensors there are blamed. A load there that lasts is a state of the plant that such noise drives.
+        acts there; without this noise, the sensors there are blamed. If a load there lasts, make it a state of the plant that the
+        noise drives.
 
-        `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`. A `LinearModel`
-        contains all but the last: leave them out with one. Only the default of `noise` differs.
+        `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`; only the default
+        of `noise` differs. A `LinearModel` contains all of these but `disturbance`: leave them out if you give one.
     acceptable_error : number or vector
         For Bryson's rule: the largest acceptable error of each goal output, in its unit.
     acceptable_control : number or vector, optional
@@ -158,13 +160,13 @@ def design(
         itself contains: see `LinearModel.with_delays`.
     initial_mean : number or vector, optional
         Mean of the model's states (``controller.model.names.states``) before the first sample, as in `LQGController`. By default
-        the plant's start, as in ``StateSpace(initial=...)``; the operating point of a `LinearModel` (`LinearModel.about`), else 0
-        for one, and 0 for an FMU without accessible states.
+        the plant's start, as in ``StateSpace(initial=...)``. For a `LinearModel`, it is the operating point
+        (`LinearModel.about`), or 0 if it has none. For an FMU without accessible states, it is 0.
     initial_spread : number
-        Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Larger, such as 1e4,
-        where the plant may start elsewhere than at its start values and the learner is not the default one, which expects that
-        (``start_doubt`` of `SwitchingPrecision`), or where it may move at the start. Errors of sensors in the model begin with
-        their own variance.
+        Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Give a
+        larger number, such as 1e4, if the plant may move at the start. Also if the plant may start elsewhere than at its start
+        values, unless the learner is the default one, which expects that (``start_doubt`` of `SwitchingPrecision`). Errors of
+        sensors that are states of the model begin with their own variance.
     initial_control : number or vector, optional
         The control before the first step, from which `u_rate` limits the first change; by default that of the operating point.
 

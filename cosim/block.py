@@ -138,7 +138,7 @@ class Block(Printed, NamedArguments):
         return 0
 
     def watching(self, names: Iterable[str], *, only_recorded: bool = False) -> Block:
-        """Return the block with those of its further variables as outputs that have these names; itself if it has none."""
+        """Return the block with its further variables of these names as outputs; the block itself if there are none of them."""
         return self
 
     def held(self, outputs: Mapping[str, Floats]) -> Block:
@@ -183,9 +183,9 @@ class Block(Printed, NamedArguments):
     def online(self, dt: float | str | Fraction | None = None, *, compiled: bool = True) -> Online:
         """Return the block as a callable that makes one step, for your own loop or for hardware.
 
-        NaN or None is a missing sample. A controller's default learner takes many in a row for a fault. For a sensor that is
-        slower than the controller, give the learner the share of steps without a sample: ``SwitchingPrecision(loss=(0.01, 0.9))``
-        for a second sensor that sends at every tenth step.
+        NaN or None is a missing sample. A controller's default learner takes many missing samples in a row for a fault. For a
+        sensor that is slower than the controller, give the learner the share of steps without a sample:
+        ``SwitchingPrecision(loss=(0.01, 0.9))`` for a second sensor that sends at every tenth step.
 
         Parameters
         ----------
@@ -214,9 +214,9 @@ class Block(Printed, NamedArguments):
         ``control.find_operating_point`` work, too. ``control.linearize`` stops precision learners: see
         `ControlSystem.linearize`. python-control starts at zeros: give ``X0=cosim.initial_state(system)``.
 
-        The state of an FMU is not accessible, except for FMUs of this package. Its place is taken by the number of a saved
-        state. For an FMU that cannot save its state, it is the number of steps made; such an FMU can only be stepped in order.
-        Both functions above refuse such states.
+        The state of an FMU is not accessible, except for FMUs of this package. The state of the system then has
+        the number of a saved state in its place. For an FMU that cannot save its state, it has the number of steps made; such an
+        FMU can only be stepped in order. ``control.linearize`` and ``control.find_operating_point`` refuse states of both kinds.
 
         Parameters
         ----------

@@ -185,7 +185,7 @@ class BayesianBlock(InfersFaults, Block, ABC):
 
     @property
     def lag(self) -> str:
-        """A sentence about how far the control law is by itself behind a moving reference; empty if it is not."""
+        """A sentence about the lag of the control law itself behind a moving reference; empty without a lag."""
         return "The controller steers the state to it one step later."
 
     @property

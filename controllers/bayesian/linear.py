@@ -160,8 +160,9 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
     control_mean : number or vector
         Mean of the control prior.
     belief : {"filtered", "joint"}
-        What is carried to the next step. "filtered": p(x_t | y_1..t), as in a Kalman filter, whatever the priors. "joint": the
-        marginal of the full joint posterior, into which the goal leaks; `SwitchingPrecision` then judges each sensor alone.
+        The belief that the next step starts from. "filtered": p(x_t | y_1..t), as in a Kalman filter, independent of the priors.
+        "joint": the marginal of the full joint posterior, which also depends on the goal; `SwitchingPrecision` then judges each
+        sensor by itself, in its per-sensor form.
     u_min, u_max : number or vector
         Limits of the control. The prediction uses the limited control.
     u_rate : number or vector
@@ -316,9 +317,9 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
     def closed_loop_poles(self) -> NDArray[np.complex128]:
         """Return the poles of the closed loop (plant and filter) in steady state, at fixed precision and without limits.
 
-        With ``belief="filtered"`` estimation and control separate: the poles are the eigenvalues of A - B L, with L the gain of
-        the control on the belief, and those of the filter. No control moves an estimated disturbance, so only the poles of its
-        estimate count.
+        With ``belief="filtered"``, estimation and control are independent (separation principle): the poles are those of the
+        filter and the eigenvalues of A - B L, where L is the gain of the control on the belief. No control moves an estimated
+        disturbance, so only the poles of its estimate count.
         """
         of, past = self._apart
         if past:

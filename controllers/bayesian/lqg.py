@@ -31,15 +31,16 @@ CERTAIN = 1e-13
 class LQGController(BayesianController):
     """Infers the state, and the control that is best in the long run for holding the outputs at the goal.
 
-    `BayesianController` has a goal for the *next* state, which is short-sighted. Here the goal is one of the outputs. At every
-    sample the controller computes a steady state (x_ss, u_ss) from it. The goal prior on the next state has the mean x_ss, and
-    as its precision the Riccati equation's cost-to-go P; the control prior is N(u_ss, R^-1). The one-step posterior is then the
-    law of the linear quadratic regulator,
+    `BayesianController` has a goal for the *next* state, which is short-sighted. Here the goal is for the outputs. At every
+    sample the controller computes a steady state (x_ss, u_ss) from the goal. The goal prior on the next state has the mean x_ss,
+    and as its precision the Riccati equation's cost-to-go P; the control prior is N(u_ss, R^-1). The one-step posterior is then
+    the law of the linear quadratic regulator,
 
         u = u_ss - (R + B' P B)^-1 B' P A (x_hat - x_ss),
 
     for the cost ``(y - goal)' goal_covariance^-1 (y - goal) + (u - u_ss)' control_covariance^-1 (u - u_ss)`` of each sample. A
-    common factor of both precisions changes nothing. It is so small that the uncertainty of the belief has no effect.
+    common factor of both precisions does not change this law. The controller uses so small a factor that the uncertainty of the
+    belief has no effect.
 
     The law itself has no limits. ``u_min``, ``u_max`` and ``u_rate`` limit its control, which is then no longer optimal. The
     belief is predicted with the limited control, so that estimated disturbances do not wind up.
@@ -47,14 +48,15 @@ class LQGController(BayesianController):
     Integrators that the goals do not see, such as the position for a goal on the speed, are not controlled. A, B, P and the
     steady state are those of the remaining states.
 
-    With fewer goals than controls, u_ss is the cheapest solution. Estimated disturbances (`LinearModel.with_disturbance`) and
-    actuator faults that the precision learner infers enter (x_ss, u_ss), so that they leave no steady error.
+    With fewer goals than controls, u_ss is the cheapest solution. The steady state (x_ss, u_ss) allows for estimated
+    disturbances (`LinearModel.with_disturbance`) and for actuator faults that the precision learner infers. They therefore leave
+    no steady error.
 
     Ports are those of `BayesianController`, with one element of ``goal`` for each goal. An element that is NaN keeps its last
     value; before the first value it is the output at the initial mean.
 
     With ``preview=n`` the goals of the next n samples are known. The input ``goal`` at t_k is then the goal for t_k+n, and the
-    controller holds the goals until their time has come. The first one also counts for the n samples before. The control is
+    controller holds the goals until their time has come. The first goal also counts for the first n samples. The control is
     optimal for the known goals, with the last one held after them. `closed_loop` shifts the reference by itself.
 
     Parameters
@@ -84,8 +86,8 @@ class LQGController(BayesianController):
     Raises
     ------
     ModelError
-        If dimensions do not fit; if there are more goals than controls; if the goals cannot be held in steady state; or if no
-        control moves or no sensor sees a mode that does not decay. The message gives the mode's eigenvalue.
+        If dimensions do not fit; if there are more goals than controls; if the goals cannot be held in steady state; or if a
+        mode that does not decay is moved by no control or seen by no sensor. The message gives the mode's eigenvalue.
 
     Examples
     --------
@@ -138,7 +140,7 @@ class LQGController(BayesianController):
 
     @property
     def lag(self) -> str:
-        """A sentence about how far the control law is by itself behind a moving reference; empty with a preview."""
+        """A sentence about the lag of the control law itself behind a moving reference; empty with a preview."""
         return (
             ""
             if self.preview

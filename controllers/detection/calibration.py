@@ -84,7 +84,7 @@ class CalibrationReport:
     auc : float
         Area under the receiver operating characteristic; guessing gives 0.5.
     brier, brier_of_constant : float
-        Mean squared error of the probability, and that of a constant probability, the share of faults.
+        Mean squared error of the probability, and that of a constant probability which equals the share of faults.
     calibration_error : float
         Expected calibration error: mean distance between predicted probability and observed share over ten bins of equal width.
     fault_share : float
@@ -145,8 +145,8 @@ def calibrate(
     model : LinearModel
         Plant and sensors.
     hazards : (float, float), optional
-        Mean time to fault and mean time to recovery in seconds; by default those of `Hazards`, and with sample times above 0.1 s
-        as many samples as these are with 0.1 s: 28 and 4.
+        Mean time to fault and mean time to recovery in seconds; by default those of `Hazards`. With sample times above 0.1 s,
+        they are 28 and 4 samples, as many as with 0.1 s.
     magnitudes : mapping
         ``injection`` (constant offset) and ``drift`` (offset per second), in the units of the sensors: a number for all sensors,
         or a sequence with one for each. By default they are 3 and 5 standard deviations of the noise of each sensor. With sample

@@ -204,9 +204,9 @@ def detectability(
     false_alarms_per_hour : float, optional
         In place of it: how often an alarm may begin without a fault.
     detection_probability : float
-        Probability of an alarm in time from which on a fault counts as detectable.
+        A fault counts as detectable if there is an alarm in time with at least this probability.
     within : float, optional
-        This time in seconds, at least two samples; by default 50 samples.
+        Seconds after the onset in which an alarm is in time, at least two samples; by default 50 samples.
     learning : bool
         Whether the filter uses the learned precision, as in the loop.
     runs, seed : int

@@ -131,13 +131,13 @@ class ModelFinding:
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
         ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
         the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin, end, effect relative to the
-        model's, and number of the control, and of an actuator that is stuck (effect near 0) the control at which it is;
+        model's, number of the control, and for a stuck actuator (effect near 0) the control at which it is stuck;
         ``offset``: a value for each sensor, in its unit, 0 for those without;
         ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
-        deviation in a sample; -2 and a factor of the standard deviation where the model has noise;
-        of a load that the model does not have, the number that its disturbance would get, the standard
-        deviation of its change in a sample, its mean, 0 if there is no evidence for one, and the share of the model's process
-        covariance that is left beside it; ``start``: the belief, the first sample, and the sensor; else empty.
+        deviation in a sample; or -2 and a factor of the standard deviations of the model's noise;
+        or, for a load that the model does not have: the number that its disturbance would get, the standard
+        deviation of its change in a sample, its mean (0 if there is no evidence for a mean), and the share of the model's process
+        covariance that remains beside the load; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
     others : tuple of str
@@ -194,9 +194,9 @@ def diagnose(
         The block that ran, for its model and its initial belief; or the closed loop that contains it. For a nonlinear model only
         `model_suspect` is used.
     y : str, optional
-        Name of the signal that was connected to its ``y``; of a closed loop it is known.
+        Name of the signal that was connected to the input ``y`` of the block; not needed for a closed loop.
     name : str
-        The block's name in the diagram; of a closed loop it is known.
+        The block's name in the diagram; not needed for a closed loop.
 
     Returns
     -------

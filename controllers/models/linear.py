@@ -216,7 +216,8 @@ class LinearModel(Printed, NamedArguments):
     def proportional(self) -> tuple[tuple[int, ...], ...]:
         """The sensors in groups whose readings are multiples of each other but for a constant, as a depth and an altitude.
 
-        They are compared by what they say of the state, whereas those of `alike` can be compared sample by sample.
+        Sensors in such a group are compared by the states that they imply. Sensors in a group of `alike` can be compared sample
+        by sample.
         """
         rows = self.quantities[:, : self.states - self.constant]
         rows = rows / np.maximum(np.abs(rows).max(axis=0), np.finfo(float).tiny)  # the units of states do not matter
@@ -480,10 +481,10 @@ class LinearModel(Printed, NamedArguments):
         of the FMU, without integrators that no output sees.
 
         *Co-simulation*, without access to states: the FMU runs from its start until its outputs are constant. Then it gets short
-        pulses of each input, up and down, of several sizes; the sizes with the best agreement count. The model is the eigensystem
-        realisation of the responses (as python-control's `era`). Its order is the number of singular values above the uncertainty
-        of the responses. Each experiment starts from a saved state, or in a new instance if the FMU cannot save its state. States
-        are balanced and have no physical meaning. A mode that no input moves is not in the model.
+        pulses of each input, up and down, of several sizes; only the sizes whose responses agree best are used. The model is the
+        eigensystem realisation of the responses (as python-control's `era`). Its order is the number of singular values above the
+        uncertainty of the responses. Each experiment starts from a saved state, or in a new instance if the FMU cannot save its
+        state. States are balanced and have no physical meaning. A mode that no input moves is not in the model.
 
         For a plant that never reaches a steady state use `identify` with a recording.
 
@@ -620,9 +621,9 @@ class LinearModel(Printed, NamedArguments):
         Warns
         -----
         PoorFitWarning
-            If the inputs are not persistently exciting of twice the model's order (a single step, a sine), hardly move in the
-            held-out part, or follow from the outputs. Also if a long autoregression predicts the held-out part better, if
-            residuals are correlated, or if nothing is explained.
+            If the inputs are not persistently exciting of an order that is twice the model's (as a single step, or a sine), if
+            they hardly move in the held-out part, or if they follow from the outputs. Also if a long autoregression predicts the
+            held-out part better, if residuals are correlated, or if nothing is explained.
         """
         from bayesftc.controllers.identification.identify import identify
 
@@ -644,8 +645,8 @@ class LinearModel(Printed, NamedArguments):
 
         The disturbance ``d`` adds to the control, ``x_t+1 = A x_t + B (u_t + d_t) + q``, and drifts as a random walk. Under a
         flat control prior, a constant load then leaves no steady error (Pannocchia and Rawlings, AIChE J. 49, 2003). A proper
-        control prior moves the control towards the prior mean, which leaves a steady error. So does a load that acts elsewhere
-        than the control if further outputs are measured; make it a state of the plant.
+        control prior moves the control towards the prior mean, which leaves a steady error. A load that acts elsewhere than at
+        the control also leaves one if further outputs are measured. Make such a load a state of the plant.
 
         The disturbances follow the plant's states and its past signals, whatever other changes the model has or gets:
         `with_disturbance`, `with_sensor_errors`, `with_delays` and `about` may be applied in any order.
@@ -668,9 +669,9 @@ class LinearModel(Printed, NamedArguments):
         """Return the model with errors of the sensors that are correlated in time, which are then estimated.
 
         Each error is a first-order autoregressive process (Ornstein and Uhlenbeck's, sampled), ``c_t+1 = exp(-dt /
-        time_constant) c_t + w``. It adds to the sensor's reading: coloured noise, or with a time constant far beyond the
-        recording a bias. `sensor_covariance` remains the sensor's white noise. Apply this method several times for a sensor with
-        several kinds of errors. An equal constant error of all sensors cannot be distinguished from the state.
+        time_constant) c_t + w``. It adds to the sensor's reading. It is coloured noise, or, if the time constant is far longer
+        than the recording, a bias. `sensor_covariance` remains the sensor's white noise. Apply this method several times for a
+        sensor with several kinds of errors. An equal constant error of all sensors cannot be distinguished from the state.
 
         Parameters
         ----------
@@ -694,8 +695,9 @@ class LinearModel(Printed, NamedArguments):
 
         The plant's states stay the first ones of ``x_hat``. Past signals follow (`state_names`: ``u[-1]`` is the control of the
         sample before), then disturbances and the constant of `about`. Past signals have no process noise and no goals. Matrices
-        over the states, initial means and initial covariances may leave them out. Past controls then count as known: 0, or the
-        control at the operating point of `about`. Past readings count as equal to the present ones, and as uncertain.
+        over the states, initial means and initial covariances may leave them out. If an initial mean or
+        covariance leaves them out, past controls count as known: 0, or the control at the operating point of `about`. Past
+        readings then count as equal to the present ones, and as uncertain.
 
         Estimated disturbances of the controls act without delay.
 

@@ -245,7 +245,7 @@ class PrecisionLearner(NamedArguments):
 
     @property
     def fault_sizes(self) -> tuple[str, ...]:
-        """What sizes of `fault_kinds` are in; empty for no fault.
+        """In what the size of each of `fault_kinds` is given; empty without kinds.
 
         The ``"unit"`` of the sensor, multiples of its ``"noise"``, or the ``"distance"`` from the belief in such multiples.
         """

@@ -32,7 +32,7 @@ class InfersFaults:
 
     @property
     def fault_sizes(self) -> tuple[str, ...]:
-        """What the size of each of `fault_kinds` is in; see `PrecisionLearner.fault_sizes`."""
+        """In what the size of each of `fault_kinds` is given; see `PrecisionLearner.fault_sizes`."""
         return self.precision.fault_sizes
 
 
@@ -50,7 +50,7 @@ class InfersActuatorFaults(InfersFaults):
 
     @property
     def actuator_sizes(self) -> tuple[str, ...]:
-        """What the size of each of `actuator_kinds` is in: the control's ``"unit"``, or a share of its ``"effect"``."""
+        """In what the size of each of `actuator_kinds` is given: the control's ``"unit"``, or a share of its ``"effect"``."""
         return tuple("unit" if mode.absolute else "effect" for mode in self._precision.actuator_modes)
 
 

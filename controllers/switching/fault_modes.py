@@ -68,8 +68,8 @@ class FaultMode:
     Parameters
     ----------
     time_to_fault : float
-        Mean time in seconds until a healthy sensor fails in this way. The default is short enough to find faults soon. It is so
-        long that even a fifth of it would cost healthy sensors less than 1 % of the error.
+        Mean time in seconds until a healthy sensor fails in this way. The default is short enough to find faults soon. It is also
+        long enough: with healthy sensors, even a fifth of it would increase the error by less than 1 %.
     time_to_recovery : float
         Mean time in seconds until it is healthy again.
 
@@ -213,13 +213,13 @@ class Frozen(FaultMode):
 
 @dataclass(frozen=True)
 class Offset(FaultMode):
-    """An unknown offset, which may drift, is added at once: injection and bias.
+    """An unknown offset, which may drift, begins suddenly: injection and bias.
 
     By default jumps are twice as frequent as other faults, because many of them are short (`SwitchingPrecision`).
 
     The unit of ``jump``, ``slope`` and ``walk`` is the standard deviation of the sensor's noise. In the joint form it is the
-    geometric mean of those of all sensors that measure the same (equal rows of C); with a unit for each, a small offset would
-    be attributed to the most accurate one.
+    geometric mean of those of all sensors that measure the same (equal rows of C); with a separate unit for each sensor, a small
+    offset would be attributed to the most accurate one.
 
     Parameters
     ----------
@@ -303,8 +303,8 @@ class Drifting(Offset):
 class Ramping(Offset):
     """An offset that begins at zero and grows faster than a slow drift: after a few samples it exceeds the noise.
 
-    It is used in the joint form only; sensor by sensor an `Offset` is as good. A drift of several times `slope` per sample counts
-    as `Unmodelled`: for drifts of 5 standard deviations per sample give ``slope=3``.
+    It is used in the joint form only; in the per-sensor form an `Offset` is as good. A drift of several times `slope` per sample
+    counts as `Unmodelled`: for drifts of 5 standard deviations per sample give ``slope=3``.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ class DroppedOut(FaultMode):
     time_to_fault, time_to_recovery
         See `FaultMode`.
     arrives : float
-        Share of the samples of a healthy sensor that arrive in this mode.
+        In this mode, the share of the samples of a healthy sensor that still arrive.
 
     Examples
     --------

@@ -93,19 +93,21 @@ class SwitchingPrecision(PrecisionLearner):
     gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). The share of samples that a
     healthy sensor repeats exactly is learned as well (`Frozen`).
 
-    ``fault_probability`` is that of all modes which are faults (all but `Burst`), also for a sensor that sends nothing; ``beta``
-    is NaN. The further outputs are:
+    ``fault_probability`` is the total probability of all modes that are faults (all but `Burst`). A sensor without samples also
+    has one. ``beta`` is NaN. The further outputs are:
 
     - ``mode_probability`` (m x 1 + modes): healthy first.
     - ``fault_kind`` (m): number of the most probable mode; 0 is healthy.
-    - ``fault_size`` (m): size of that mode's fault; NaN without one. It is an offset in the sensor's unit, the standard deviation
-      of a noisier sensor in nominal ones, or the root mean square of an unmodelled one's innovations in nominal ones.
+    - ``fault_size`` (m): size of that mode's fault; NaN without one. For offsets it is in the sensor's unit. For a noisier
+      sensor it is the standard deviation of the noise, and for an unmodelled fault the root mean square of the innovations, both
+      as multiples of the nominal standard deviation.
     - ``fault_onset`` (m): time in seconds since the first sample; NaN for a healthy sensor.
     - ``log_density``: log density of these samples given the earlier ones. Its sum over a recording measures how well the
       settings explain it (a pseudo-likelihood if an offset exceeds its `jump`).
 
     The joint form estimates offsets together with the state, with a hypothesis for each sensor and kind of offset. It therefore
-    distinguishes a slow drift of one of two sensors from the state's motion, and a sensor with a known offset still informs.
+    distinguishes a slow drift of one of two sensors from the state's motion, and a sensor with a known offset still informs
+    the estimate.
     Further hypotheses are:
 
     - A sensor fails in a way without a mode (`Unmodelled`); the state is inferred without it.
@@ -123,7 +125,8 @@ class SwitchingPrecision(PrecisionLearner):
         The fault modes of a sensor, with their rates; see `FAULT_MODES`.
     loss : float or sequence of float
         Probability that a sample of a healthy sensor is missing, for all sensors or for each. For a slow sensor it is the share
-        of steps without a sample; `closed_loop` computes it from `every` of its `Sensors`, unless it is at least that share.
+        of steps without a sample; `closed_loop` computes it from `every` of its `Sensors`, unless the given loss is at least
+        that share.
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
         is faster, but detects slow drifts later.
@@ -131,9 +134,10 @@ class SwitchingPrecision(PrecisionLearner):
         The fault modes of each actuator and of the process, such as ``[InputOffset(), LostEffect()]``: instances of classes in
         `ACTUATOR_MODES`, or of your own. They belong to the joint form. With them there are, for each actuator, the outputs
         ``actuator_mode_probability`` (p x 1 + modes, healthy first), ``actuator_fault_probability``, ``actuator_fault_kind``
-        (number of the most probable mode, 0: healthy) and ``actuator_fault_size`` (c of that mode; NaN for a healthy one). The
-        control compensates the inferred faults: give the controller its limits ``u_min`` and ``u_max``. By default there are
-        none. An actuator that is slower than in the model also looks faulty, and compensating that can make the loop unstable.
+        (number of the most probable mode, 0: healthy) and ``actuator_fault_size`` (size of that mode's fault; NaN for a healthy
+        actuator). The control compensates the inferred faults: give the controller its limits ``u_min`` and ``u_max``. By default
+        there are no actuator modes. An actuator that is slower than in the model also looks faulty, and compensating that can
+        make the loop unstable.
     process_modes : sequence of NoisierProcess
         Times with more process noise than nominal: by default kicks, and longer ones in which the belief fades, slowly or fast,
         because the model is less precise than assumed. Without any, a common deviation of all sensors counts as faults of all
@@ -146,18 +150,18 @@ class SwitchingPrecision(PrecisionLearner):
         fault is more probable. It belongs to the joint form, with two or more sensors of one quantity, such a process mode and
         an `Offset`; otherwise it has no effect.
     start_doubt : float
-        Prior probability, from 0 to below 1, that the plant starts elsewhere than the controller's belief before the first sample
-        says. If the sensors' first samples agree on another state, that is then the state, and no sensor is blamed. It belongs to
-        the joint form with a process mode; otherwise it has no effect.
+        Prior probability, from 0 to below 1, that the plant's initial state is not the one that the controller believes before
+        the first sample. If the first samples of the sensors agree on another state, the estimate becomes that state, and no
+        sensor is blamed. It belongs to the joint form with a process mode; otherwise it has no effect.
     duration_shape : float
         Shape, above 1, of the Lomax distribution of a fault's duration, whose mean is its ``time_to_recovery``. Near 1 many
-        faults are short and a few very long. Infinite gives the exponential distribution of all other modes, for faults of known
-        mean duration. It belongs to the joint form, for offsets that jump and for `Unmodelled`.
+        faults are short and a few very long. Infinity gives the exponential distribution, which all other modes have, for
+        faults of known mean duration. It belongs to the joint form, for offsets that jump and for `Unmodelled`.
     gain_limit : float
         Limit of the estimate's gain while the belief fades (a process mode with `fading` above 1), relative to the gain of the
-        model's filter. It holds in proportion to the probability of such a mode. Following the sensors faster would make a loop
-        with a late control unstable. A product of limit and gain of at least 1 means no limit. Infinite means no
-        limit, for an estimate without a control loop. It belongs to the joint form.
+        model's filter. It holds in proportion to the probability of such a mode. A larger gain would make a loop with a late
+        control unstable. If the product of limit and gain is at least 1, there is no limit. Infinity means no limit: use it for
+        an estimate without a control loop. It belongs to the joint form.
     noise_factor : float
         A healthy sensor's standard deviation is learned within this factor of the model's, up or down. With 1 it is the model's,
         as always under `UnbiasedActiveInference`, whose belief has no covariance.
@@ -166,9 +170,9 @@ class SwitchingPrecision(PrecisionLearner):
     noise_forgetting : float
         Forgetting factor in (0, 1] per sample of the learned noise.
     outages : bool
-        Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two of them
-        must be silent by surprise: they send at most steps (a `loss` below .5) and have not dropped out before. Otherwise
-        all sensors have probably dropped out.
+        Whether a step without any sample is an outage, as of a logger, and says nothing about the sensors. At least two sensors
+        must be silent unexpectedly: sensors that usually have a sample in most of the steps (a `loss` below .5), and that have
+        not dropped out before. Otherwise all sensors have probably dropped out.
 
     Raises
     ------
@@ -238,7 +242,7 @@ class SwitchingPrecision(PrecisionLearner):
     def rarer(self, factor: float) -> SwitchingPrecision:
         """Return the learner for devices that fail `factor` times more rarely: an alarm needs more evidence, and few are false.
 
-        Default times still grow with the sample time. Harmless modes and process modes keep theirs.
+        Default times still grow with the sample time. Harmless modes and process modes keep their mean times.
 
         Parameters
         ----------

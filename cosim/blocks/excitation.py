@@ -32,13 +32,13 @@ class Pulse(Source):
     amplitude : float
         Height of a pulse.
     period : float
-        Seconds. From one pulse to the next.
+        Time from one pulse to the next, in seconds.
     width : float
         Share of the period in which the pulse is on, between 0 and 1.
     offset : float
         What the output is between the pulses.
     start : float
-        Seconds. When the first pulse begins.
+        Time in seconds at which the first pulse begins.
     unit : str or None
         Unit of the output.
 
@@ -111,7 +111,7 @@ class PRBS(Source):
     order : int
         Bits of the register: 3 to 7, 9 to 11, 15, 17, 18 or 20.
     offset : float
-        Between the two values.
+        The middle of the two values.
     unit : str or None
         Unit of the output.
 
@@ -166,20 +166,20 @@ def _exponential_chirp(t, amplitude, offset, begin, end, duration, growth, y):
 
 @dataclass(frozen=True)
 class Chirp(Source):
-    """A sine whose frequency rises or falls from `begin` to `end` within `duration` seconds, and then stays.
+    """A sine whose frequency rises or falls from `begin` to `end` within `duration` seconds, and then is constant.
 
     Parameters
     ----------
     amplitude : float
         How far the output swings to either side.
     begin, end : float
-        Hertz. Frequencies, positive.
+        First and last frequency in hertz, positive.
     duration : float
-        Seconds in which the one becomes the other.
+        Seconds in which the frequency changes from `begin` to `end`.
     sweep : {"linear", "exponential"}
-        Whether the frequency changes by as much, or by the same factor, in each second.
+        Whether the frequency changes by the same amount (linear) or by the same factor (exponential) in each second.
     offset : float
-        What the output swings about.
+        Value about which the output swings.
     unit : str or None
         Unit of the output.
 

@@ -41,9 +41,10 @@ def _kernel(source: Kernel, numerator: int, denominator: int) -> Kernel:
 
 @dataclass(frozen=True)
 class Preview(Block):
-    """A source whose future is known: ``y`` is its present value, ``ahead`` that of `time` seconds later.
+    """A source whose future is known: ``y`` is its present value, ``ahead`` its value `time` seconds later.
 
-    A controller with a preview gets ``ahead`` as its goal. `closed_loop` makes this block of the reference by itself.
+    A controller with a preview gets ``ahead`` as its goal. For such a controller, `closed_loop` itself replaces the reference by
+    this block.
 
     Parameters
     ----------

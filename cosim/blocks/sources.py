@@ -105,7 +105,7 @@ class Step(Source):
     Parameters
     ----------
     time : float
-        Seconds. When the output changes.
+        Time in seconds at which the output changes.
     after, before : float
         Value of the output from ``time`` on (``after``), and until then (``before``).
     unit : str or None
@@ -148,11 +148,11 @@ class Ramp(Source):
     Parameters
     ----------
     slope : float
-        Per second. How fast the output rises.
+        Rise of the output per second.
     offset : float
         Value of the output at the beginning.
     start : float
-        Seconds. When the output begins to rise.
+        Time in seconds at which the output begins to rise.
     unit : str or None
         Unit of the output.
 
@@ -195,11 +195,11 @@ class Sine(Source):
     amplitude : float
         Largest distance of the output from `offset`.
     period : float
-        Seconds. From one maximum to the next.
+        Time from one maximum to the next, in seconds.
     offset : float
         Mean of the output.
     phase : float
-        Radians. Phase at t = 0.
+        Phase at t = 0, in radians.
     unit : str or None
         Unit of the output.
 

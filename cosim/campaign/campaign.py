@@ -58,9 +58,9 @@ class Campaign:
     independent : sequence of str
         Factors of which each value has different seeds, and so independent noise.
     record : sequence of str
-        Names or patterns of the signals to keep. They must exist at every point. With ``fault_probability`` or ``beta`` of the
-        controller of a closed loop, ``sensor_faulty`` and ``sensor_missing`` are kept as well: for each sensor 1 while a fault is
-        present, and 1 at a missing sample.
+        Names or patterns of the signals to keep. They must exist at every point. If ``fault_probability`` or ``beta`` of
+        the controller of a closed loop is among them, two further signals are kept. For each sensor, ``sensor_faulty`` is 1 while
+        a fault is present, and ``sensor_missing`` is 1 at a missing sample.
     metrics : sequence of Metric or callable, optional
         Numbers of each run: metrics such as `RMSE`, or functions from a `Result` to a number.
     decimation : int
@@ -68,8 +68,8 @@ class Campaign:
     time_limit : float, optional
         Largest computing time of a run in seconds. A run that takes longer counts as failed.
     piece : int, optional
-        Number of runs that are made, stored and resumed together. By default a 32nd of all, but at most half a second of quick
-        runs.
+        Number of runs that are made, stored and resumed together. By default a 32nd of all runs, or fewer: so few that
+        a piece of quick runs takes at most half a second.
 
     Warns
     -----

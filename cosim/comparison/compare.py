@@ -74,15 +74,15 @@ class Comparison:
         - ``loop``, ``signal``, ``unit``, ``runs`` and ``failed``;
         - ``error``: mean over the runs of the root-mean-square difference between signal and reference, and
           ``error_in_faults``: the same while a fault is present;
-        - ``false_alarm_rate``: blamed while healthy, the mean over all sensors of the share of fault-free samples with an alarm,
-          also where the alarm began during a fault;
+        - ``false_alarm_rate``: how often healthy sensors are blamed. It is the share of fault-free samples with an alarm, as the
+          mean over all sensors. Alarms that began during a fault count as well;
         - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
           ``high``;
         - ``wins``: number of runs with a smaller error than the first loop, and ``pairs``: number of all pairs;
         - the same differences with the ending ``_in_faults``.
 
-        NaN means undefined: differences of the first loop to itself, errors in faults without a fault, false alarms of a
-        controller without fault probabilities.
+        NaN means undefined: the differences of the first loop to itself, the errors in faults if there is no fault, and the false
+        alarms of a controller without fault probabilities.
     runs : pandas.DataFrame
         A row for each run, as in `CampaignResult.table`, with the loop's name in the column ``loop``.
     loops : dict of str to Diagram

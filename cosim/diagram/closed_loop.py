@@ -95,28 +95,30 @@ def closed_loop(
     measured : str or sequence of str
         The plant's outputs for the sensors: vectors as a whole, or elements of them.
     reference : Block, float or a sequence of them
-        The goal: a source, a constant, or one for each element of the controller's ``goal``. For a controller whose property
-        ``preview`` is n > 0, each becomes a `Preview`: its ``y`` is the present goal, and the controller gets its ``ahead``,
-        that of n of its samples later. Blocks between reference and controller then get ``"reference.ahead"``.
+        The goal: a source, a constant, or one for each element of the controller's ``goal``. If the property ``preview``
+        of the controller is n > 0, each becomes a `Preview`. The output ``y`` of the `Preview` is the present goal. The
+        controller gets the output ``ahead``: the goal n samples of the controller later. In `connections`, blocks between
+        reference and controller then get ``"reference.ahead"``.
     sensors : Sensors, optional
-        By default one perfect sensor for each measured output. The controller gets their ``invalid`` values, and its learner
-        expects no samples of slow sensors (``every``) between theirs.
+        By default one perfect sensor for each measured output. The controller gets the ``invalid`` values of the sensors.
+        Its learner expects no sample from a slow sensor (``every``) in the steps between the samples of that sensor.
     faults : Fault or sequence of Fault
         Sensor faults, applied to the samples one after the other.
     input_faults : mapping of plant input to Fault or sequence of Fault, optional
-        Actuator faults if the input is a control, else process faults. They change the signal before the plant. The controller
-        still computes with the control that it sent. An input with neither control nor noise has its start value.
+        Actuator faults if the input is a control, else process faults. They change the signal before it reaches the plant.
+        The controller still computes with the control that it sent. At an input with neither control nor noise, the fault changes
+        the start value of the input.
     noise : mapping of plant input to Block, optional
         Sources for further inputs of the plant.
     monitors : mapping of name to Block, optional
-        Blocks that monitor the controller. Each input is fed by the controller's output of that name, or is ``y`` or ``goal``
-        of the controller. An input with a start value needs no such signal.
+        Blocks that monitor the controller. Each input of a monitor gets the controller's output of the same name. Inputs called
+        ``y`` and ``goal`` get the same signals as these inputs of the controller. An input with a start value needs no signal.
     blocks : mapping of name to Block, optional
         Further blocks, or pairs of a block and its `every` (see `Diagram.add`).
     connections : sequence of (str or sequence of str, str)
         Connections of the further blocks, from outputs to an input: ``("controller.u", "limiter.u")``. They replace the loop's
-        own connection to the same input, as ``("limiter.y", "plant.force")`` does. A source may also be an input: it stands
-        for the signal that the loop itself feeds to it, after its faults.
+        own connection to the same input, as ``("limiter.y", "plant.force")`` does. A source may also be
+        the name of an input. It then stands for the signal that the loop itself feeds to this input, after the input's faults.
     dt : float, str or Fraction, optional
         Base step in seconds; by default the controller's sample time. With a smaller one, the controller (or a discrete plant)
         runs at every n-th step; its sample time must be a whole multiple of `dt`. Sensors, faults and sources run at the base
@@ -130,8 +132,9 @@ def closed_loop(
     Warns
     -----
     UserWarning
-        If a sensor, a measured variable or a further block is not used, or if a `StateSpace` begins where the controller's
-        belief excludes it and its learner does not expect that (``start_doubt`` of `SwitchingPrecision`).
+        If a sensor, a measured variable or a further block is not used. Also if the controller's belief excludes the
+        initial state of a `StateSpace`, and the controller's learner does not expect such a start (``start_doubt`` of
+        `SwitchingPrecision`).
 
     Raises
     ------

@@ -159,11 +159,11 @@ class Diagram(LoopMethods):
         self._sources.update(new)
 
     def defer_units(self) -> None:
-        """Let `check_units` compare the units of connections from now on: some may be replaced before it is called."""
+        """From now on, compare no units in `connect`; call `check_units` later, when some connections may have been replaced."""
         self._units_later = []
 
     def check_units(self) -> None:
-        """Compare the units of the connections since `defer_units` that are left.
+        """Compare the units of all connections that were made since `defer_units` and still exist.
 
         Raises
         ------
@@ -330,11 +330,11 @@ class Diagram(LoopMethods):
         Parameters
         ----------
         coupling : {"gauss-seidel", "jacobi", "iterated"} or Coupling
-            How FMUs that feed each other are stepped. Gauss-Seidel, the default: an FMU that is fed directly by an FMU of the
-            same rate added before it gets the output of that FMU after its step. Jacobi: before its step. With a block between
-            the two (such as a `Gain` that converts units), or with different ``every``, it gets the output before the step in
-            both cases. Iterated: steps are repeated until values agree, and algebraic loops are solved.
-            ``diagram.schedule.describe()`` lists the resulting order.
+            How FMUs that feed each other are stepped. Gauss-Seidel, the default: if an FMU is fed directly by another
+            FMU of the same rate, and that one was added before it, it gets the output of the other FMU after the other FMU's
+            step. With Jacobi, it gets the output before that step. With a block between the two (such as a `Gain` that converts
+            units), or with different ``every``, it gets the output before the step in both cases. Iterated: steps are repeated
+            until values agree, and algebraic loops are solved. ``diagram.schedule.describe()`` lists the resulting order.
         **settings : object
             Further settings of `Coupling`: ``tolerance``, ``acceleration``, ``iterations``, ``hold``, ``step_error``.
         """
@@ -400,8 +400,8 @@ class Diagram(LoopMethods):
         pace : float, optional
             Simulated seconds for each second of the clock, 1.0 for real time. Step k then does not start before its time.
             ``result.metadata["pace"]`` has the number of steps that were not done in time (``overruns``) and the largest delay
-            in seconds (``worst_overrun``); for steps shorter than a millisecond also the delay up to which none is late
-            (``tolerance``). By default the run is as fast as possible.
+            in seconds (``worst_overrun``); for steps shorter than a millisecond also the delay up to which a step
+            does not count as late (``tolerance``). By default the run is as fast as possible.
 
         Returns
         -------
@@ -534,9 +534,10 @@ class Diagram(LoopMethods):
         Parameters
         ----------
         inputs : sequence of str or mapping of str to str, optional
-            Inputs of the system: inputs of blocks (``"plant.disturbance"``), which then replace their sources, or outputs of
-            blocks (``"reference.y"``, ``"controller.u"``), which they then replace everywhere. By default the inputs that have
-            neither a source nor a start value. The names become ``plant_disturbance``, or those of the mapping.
+            Inputs of the system. If you name an input of a block (``"plant.disturbance"``), the system's input replaces the
+            source of that input. If you name an output of a block (``"reference.y"``, ``"controller.u"``), the system's input
+            replaces that output everywhere. By default the inputs that have neither a source nor a start value. The names become
+            ``plant_disturbance``, or those of the mapping.
         outputs : sequence of str or mapping of str to str, optional
             Outputs of blocks; by default all.
         seed : int or None

@@ -88,7 +88,7 @@ class Subsystem(Block):
         block inside that has no source and is not random, under the name of its port (``<block>_<port>`` if several have this
         name).
     outputs : mapping of str to port or sequence of ports, optional
-        For each output the outputs of blocks inside of which it consists, one after the other. By default each output that feeds
+        For each output, the outputs of blocks inside that form it, one after the other. By default each output that feeds
         no block inside.
     goals : sequence of str, optional
         Of a controller: the measured quantity of each element of its input ``goal``, such as ``["angle"]``, for tracking errors

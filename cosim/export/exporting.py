@@ -66,9 +66,9 @@ def export_fmu(
     dt : float, str or Fraction, optional
         The sample time, for a block that does not define one.
     timing : {"plant", "sampled"}, optional
-        When the outputs hold. Sampled: the outputs after a step are computed from the inputs at its beginning, as for a
-        controller. Plant: the outputs after a step are those at its end; only if no input acts on an output directly. The
-        default is plant where possible.
+        The instant that the outputs belong to. Sampled: the outputs after a step are computed from the inputs at the beginning of
+        the step, as for a controller. Plant: the outputs after a step are those at the end of the step. This is possible only if
+        no input acts on an output directly. The default is plant where possible.
     description : str
         A sentence or two for the user of the FMU.
     stop_time : float, optional

@@ -42,8 +42,8 @@ class FMU(ExternalBlock):
         FMU's and those of pint. Arrays are nested sequences, row by row. Structural parameters set the sizes of arrays.
         Enumerations are names or numbers. After construction: plain values in the variables' units.
     inputs, outputs : sequence of str or Port, optional
-        Names of the variables that become ports; by default all inputs and outputs that are numbers. A port such as
-        ``Port("level", unit="m")`` gives a variable for which the FMU declares no unit its unit, also in `parameters`. Local
+        Names of the variables that become ports; by default all inputs and outputs that are numbers. If the
+        FMU declares no unit for a variable, a port such as ``Port("level", unit="m")`` gives it one, also in `parameters`. Local
         variables and parameters may be outputs as well. Arrays become vector and matrix ports. Whole numbers, Booleans (0 or 1)
         and enumerations are converted exactly. An input value that its type cannot represent stops the run. An input that is left
         out keeps its start value. After construction: the ports.
@@ -68,8 +68,8 @@ class FMU(ExternalBlock):
         For model exchange: ``"cvode"`` (default), for any plant; ``"rk45"`` (Runge-Kutta), faster and more accurate for plants
         that are not stiff; or ``"scipy:METHOD"`` with a method of ``scipy.integrate.solve_ivp``, as ``"scipy:LSODA"``.
     rtol : float, optional
-        Relative tolerance; by default that of the FMU's default experiment. In model exchange it is the integrator's (else
-        1e-6). In co-simulation it is passed to the FMU (else none is).
+        Relative tolerance; by default that of the FMU's default experiment. In model exchange, the integrator uses it; if there
+        is none, it uses 1e-6. In co-simulation, the FMU gets it; if there is none, the FMU gets no tolerance.
     atol : float, optional
         For model exchange: absolute tolerance of all states; by default rtol times each state's nominal value.
     isolate : bool
@@ -124,7 +124,7 @@ class FMU(ExternalBlock):
 
     @property
     def checks_finite(self) -> bool:  # type: ignore[override]
-        """Whether a NaN in the outputs stops the run: yes for plants; of an exported controller it is a missing sample."""
+        """Whether a NaN in the outputs stops the run: true for plants, false for exported controllers (a missing sample)."""
         return self.description.timing != "sampled" and self.description.finite
 
     def __post_init__(self) -> None:

@@ -279,7 +279,7 @@ class Result(Mapping[str, Floats]):
 
     @property
     def suspicions(self) -> list[str]:
-        """Sentences on what speaks against a model: from when on ``model_suspect`` is above one half, and sensors that agree."""
+        """Sentences on evidence against a model: from when ``model_suspect`` is above one half, and blamed sensors that agree."""
         suspect = [
             f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
             for block, k in self._suspect.items()
@@ -545,7 +545,7 @@ class Result(Mapping[str, Floats]):
     def animate(self, *, frames: int = 100, speed: float = 1.0) -> NotebookAnimation:
         """Return an animation of the plant, with the signals and fault probabilities up to the shown instant.
 
-        Drawn together are what is true, what the controller believes and what each sensor reads, so that one sees when the
+        It draws the true values, the controller's belief and the readings of each sensor together. This shows when the
         controller ignores a sensor. Shipped plants have a picture; any other plant has a scale for each quantity. A notebook
         shows the animation by itself. ``animation.save("run.gif")`` writes a file; ``animation.to_jshtml()`` is a web page.
 

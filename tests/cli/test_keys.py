@@ -31,7 +31,7 @@ def test_every_key_has_a_meaning(file):
 def test_a_kind_is_printed_with_units_defaults_and_meanings(bayesftc_):
     shown = " ".join(bayesftc_("keys", "scenario", "Drift").stdout.split())
     assert 'kind = "Drift": ' in shown
-    assert "slope a number (unit of the required Per second." in shown
+    assert "slope a number (unit of the required Growth of the" in shown
     keys = {key.name: key for key in keys_of(thing("bayesftc.cosim.Drift"))}
     assert keys["slope"][1:3] == ("a number (unit of the signal/s)", "required")
     assert keys["duration"][1:3] == ("a number (s)", "inf")

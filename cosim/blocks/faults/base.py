@@ -36,7 +36,7 @@ class Fault(Block):
 
     Input ``u``, outputs ``y`` (both of shape (channels,)) and ``active`` (1 while the fault is present, else 0). While
     the fault is absent, ``y`` is ``u`` (a negative zero becomes a positive one). The other channels are always unchanged. A
-    missing sample (NaN) passes through like any other, and does not change when the fault begins and ends.
+    missing sample (NaN) passes through like any other. It has no effect on the times at which the fault begins and ends.
 
     Parameters
     ----------
@@ -44,21 +44,23 @@ class Fault(Block):
         Number of the channel, from 0; 0 for a scalar input of a plant.
     start, stop : float, When or str
         Seconds: the fault can be present while start <= t < stop. Or conditions on a signal, such as ``"plant.v > 22"``, which
-        stands for ``cosim.when("plant.v", ">", 22.0)``: it can be present from the step at which the start is fulfilled, until
-        the one at which the stop is. It can begin again each time the start is fulfilled anew. A stop that is fulfilled
-        prevents it. Or start="by hand": it is present while its input ``start_signal`` is set to 1, as by `Session.set`.
+        stands for ``cosim.when("plant.v", ">", 22.0)``: the fault can be present from the step at which the start condition is
+        fulfilled until the step at which the stop condition is fulfilled. The fault can begin again each time the start condition
+        is fulfilled anew. While the stop condition is fulfilled, the fault cannot begin. Or start="by hand": the fault is present
+        while its input ``start_signal`` is set to 1, as by `Session.set`.
     duration : float
         Seconds from the start to the end of the fault, rounded to whole steps, at least one; a stop may end it before.
     latching : bool
         Whether the fault remains when the condition of its start is no longer fulfilled, until its stop or duration.
     mean_time_to_fault, mean_time_to_recovery : float, optional
-        Seconds; give both, or none of them. If given, the fault begins and ends at random in that window: at every step with the
-        probabilities step / mean_time_to_fault and step / mean_time_to_recovery. Else it is present in the whole window.
+        Mean seconds until the fault begins, and until it ends again; give both, or none of them. If given, the fault begins and
+        ends at random in the window from `start` to `stop`: at every step with the probabilities step / mean_time_to_fault and
+        step / mean_time_to_recovery. Else it is present in the whole window.
     channels : int, optional
         Length of the signal; `closed_loop` sets it.
     spacing : int
-        Of a slow sensor, the number of steps from one sample to the next; `closed_loop` sets it to that of its sensors. The fault
-        acts on these samples alone: a `Freeze` repeats the last of them as often as the sensor has samples.
+        For a slow sensor, the number of steps from one sample to the next; `closed_loop` sets it from ``every`` of its `Sensors`.
+        The fault acts on these samples alone: a `Freeze` repeats the last sample at the steps at which the sensor has samples.
     name : str, optional
         Name in the diagram, by default kind and channel (``freeze_0``). The random numbers depend on this name, and not on
         the order or the number of the faults.

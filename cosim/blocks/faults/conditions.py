@@ -43,7 +43,7 @@ class When:
         Whether the signal of the step before is compared. A fault needs this if the signal depends on the fault at the same
         step, as the control depends on a sensor. At the first step a delayed condition is not fulfilled.
     after : float
-        Seconds. Before this time the start is not fulfilled. A stop has no such time.
+        Time in seconds before which the start is not fulfilled. A stop has no such time.
 
     Raises
     ------

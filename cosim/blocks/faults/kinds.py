@@ -105,9 +105,9 @@ class Injection(Fault):
     amplitude : float
         Amplitude of the sine, in the unit of the signal.
     period : float
-        Seconds. From one maximum to the next.
+        Time from one maximum to the next, in seconds.
     phase : float
-        Radians. Phase at the onset.
+        Phase at the onset, in radians.
     sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
@@ -165,7 +165,7 @@ class Drift(Fault):
     Parameters
     ----------
     slope : float
-        Per second. How fast the offset grows.
+        Growth of the offset per second.
     sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
@@ -309,7 +309,7 @@ class NoiseGrowth(Fault):
     Parameters
     ----------
     slope : float
-        Per second. How fast the standard deviation grows.
+        Growth of the standard deviation per second.
     sensor, start, stop, duration, latching, mean_time_to_fault, mean_time_to_recovery, channels, spacing, name
         See `Fault`, also for errors.
 
@@ -444,13 +444,13 @@ class Lag(Fault):
 class Delay(Fault):
     """The channel has the sample of `delay` seconds ago.
 
-    From the start to the end of a run it is the dead time of a sensor, or as an input fault that of an actuator, and no fault in
-    tables and figures. `loop.linear()` and the check of a model before a run include such delays.
+    If it is present during the whole run, it is the dead time of a sensor, or, as an input fault, that of an actuator. Tables and
+    figures then do not count it as a fault. `loop.linear()` and the check of a model before a run include such delays.
 
     Parameters
     ----------
     delay : float
-        Seconds, not negative; rounded to whole steps, of a slow sensor to its samples.
+        Seconds, not negative; rounded to whole steps, or for a slow sensor to whole intervals between its samples.
     initial : float, optional
         Value of the channel until the first sample arrives, in the unit of the signal, NaN for a missing one; by default the
         first sample.

@@ -35,18 +35,21 @@ class Sensors(Block):
     Parameters
     ----------
     count : int or sequence of int
-        Number of sensors, or of each signal: ``(1, 3)`` is one of the first signal, then three of the second one. A single number
-        of sensors of several signals takes these in turn: ``4`` for position and speed is position, speed, position, speed.
+        Number of sensors, or one number for each signal: ``(1, 3)`` is one sensor of the first signal, then three sensors of the
+        second one. With a single number, the sensors read the signals in turn: ``4`` for position and speed is position, speed,
+        position, speed.
     std : float or sequence of float
-        Standard deviation of the noise in the unit of the signal, for all sensors or for each, in the order of `count`; with a
-        `count` for each signal also for each signal. The same holds for `bias` and `resolution`.
+        Standard deviation of the noise in the unit of the signal: one number for all sensors, or one for each in the order of
+        `count`. If `count` has a number for each signal, `std` may also have one for each signal. The same holds for `bias` and
+        `resolution`.
     signals : int
         Number of signals that they read.
     bias : float or sequence of float
         Constant offset.
     resolution : float or sequence of float
-        Readings are whole multiples of this (halves are rounded up); 0 for no rounding. A controller that a scenario file designs
-        from the plant counts the rounding as noise (`error_std`). Of `design`, it belongs into `sensor_std`.
+        Readings are whole multiples of this (halves are rounded up); 0 for no rounding. If a scenario file designs a
+        controller from the plant, the controller's sensor noise includes the rounding (`error_std`). If you call `design`,
+        include the rounding in its `sensor_std`.
     matrix : sequence of sequence of float, shape (count, signals), optional
         Measurement matrix: coefficients of the signals for each sensor.
     function : function, optional
@@ -60,10 +63,10 @@ class Sensors(Block):
         outputs that they measure.
     every : int or sequence of int
         The sensor has a sample in every n-th step, from the first step on, and none (NaN) in between: ``[1, 1, 10]`` for a third
-        sensor of 5 Hz in a loop of 50 Hz. One for all, for each sensor, or for each signal with a `count`, then of all its
-        sensors. `closed_loop` also gives it to the faults of the sensor, and to the learner of the controller, which then
-        expects no samples in between. Figures of the linear loop, such as `loop.poles()`, count it as a sensor with a sample in
-        each step.
+        sensor of 5 Hz in a loop of 50 Hz. Give one number for all sensors, or one for each sensor. If `count` has a number for
+        each signal, you may also give one for each signal, for all sensors of it. `closed_loop` also gives the number to the
+        faults of the sensor and to the learner of the controller. The learner then expects no samples in between. Figures of the
+        linear loop, such as `loop.poles()`, treat a slow sensor as if it had a sample in each step.
     invalid : sequence of float, or of one for each sensor
         Values that the devices send in place of a sample, such as ``[-9999, 65535]``. The samples are not changed.
         `closed_loop` gives the values to the controller, which treats such samples as missing.

@@ -366,7 +366,7 @@ class LoopFigures(Metric):
 
     Notes
     -----
-    A campaign has the figures of its first point. If the loop of another point lacks a figure, it is NaN.
+    The columns of a campaign are the figures of its first point. A figure that the loop of another point lacks is NaN there.
 
     Examples
     --------

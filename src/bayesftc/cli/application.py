@@ -32,7 +32,7 @@ COMMANDS = {
     "run": ("loops", "Run a scenario and print the figures of the run."),
     "serve": (
         "loops",
-        "Run a scenario now, with a page to watch it, to break its sensors and actuators, and to go back.",
+        "Run a scenario now, with a page to watch it, to inject faults into sensors and actuators, and to go back in time.",
     ),
     "live": (
         "loops",

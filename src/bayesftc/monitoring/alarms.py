@@ -77,7 +77,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class FaultEvent:
-    """An alarm of a sensor, or a part of one whose kind changed for good.
+    """An alarm of a sensor; or, if the kind of an alarm changes for good, a part of the alarm.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class FaultEvent:
 
 @dataclass(frozen=True)
 class ActuatorEvent:
-    """An alarm of an actuator, or of the process where its input acts, or a part of one whose kind changed for good.
+    """An alarm of an actuator, or of the process where its input acts; or, if its kind changes for good, a part of it.
 
     Attributes
     ----------
@@ -175,9 +175,10 @@ class ActuatorEvent:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A time in which one of two sensors is faulty, but neither has an alarm, because it is open which one.
+    """A time in which one of two sensors is faulty, but neither has an alarm, because it is not known which one.
 
-    It is meant for learners that judge sensors together: only then is the sum of two probabilities that of either fault.
+    It is meant for learners that judge sensors together. Only for these is the sum of the two fault probabilities the probability
+    that one of the two sensors is faulty.
 
     Attributes
     ----------

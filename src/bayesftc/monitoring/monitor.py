@@ -165,10 +165,11 @@ class Monitor:
         Parameters
         ----------
         recording : Recording, mapping of str to Signal, DataFrame or path
-            From `align`, or anything that `recorded` makes a recording of: a table with a column for each sensor, or a CSV file.
+            From `align`, or anything that `recorded` turns into a recording: a table with a column for each sensor, or a CSV
+            file.
         stretch : slice or pair of times
-            In which the sensors are healthy: the steps, or the first and the last time (seconds of the recording, or dates; None:
-            from the beginning or to the end); see `fit_model`.
+            The part of the recording in which the sensors are healthy: a slice of steps, or its first and its last time (seconds
+            of the recording, or dates; None for its beginning or its end); see `fit_model`.
         gains : bool
             Whether a sensor may have a gain other than 1; for angles give False.
         **settings

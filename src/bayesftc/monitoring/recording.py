@@ -70,8 +70,8 @@ class Signal:
     origin : datetime, optional
         The instant of time 0, if the times are known as dates.
     period : float
-        Full turn of a sensor of an angle, such as 360 for a heading in degrees: its samples then count on where they begin
-        anew. 0 if it measures no angle. Sensors with the same period measure the same angle.
+        Full turn of a sensor of an angle, such as 360 for a heading in degrees: its samples are then unwrapped, so that they
+        continue beyond a full turn. 0 if it measures no angle. Sensors with the same period measure the same angle.
     gain : float
         How far the values move while the quantity moves by 1; negative if they move the other way. Values, less the bias, are
         divided by it.
@@ -81,8 +81,8 @@ class Signal:
     Raises
     ------
     RecordingError
-        If times and values do not have the same length, or times do not increase. The message tells a clock that is set back from
-        other reasons.
+        If times and values do not have the same length, or times do not increase. The message distinguishes a clock that was set
+        back from other causes.
     ModelError
         If a setting is no number, or is negative but must not be.
 
@@ -205,7 +205,7 @@ class Recording:
     origin : datetime or None
         The instant of time 0, if the times were dates.
     bias, gain : tuple of float
-        What was subtracted from the samples of each sensor, and by what they were divided then; empty: nothing.
+        What was subtracted from the samples of each sensor, and what they were divided by after that; empty if nothing was done.
 
     Examples
     --------
@@ -254,7 +254,7 @@ class Recording:
         return replace(self, y=self.y[:, list(kept)], **chosen)
 
     def as_read(self, sensor: int, values: Floats) -> Floats:
-        """Return values of what a sensor measures as the sensor reads them: with its bias and its gain."""
+        """Convert values of the measured quantity to readings of a sensor: with its bias and its gain."""
         bias, gain = (given[sensor] if given else usual for given, usual in ((self.bias, 0.0), (self.gain, 1.0)))
         return bias + gain * values
 
@@ -286,9 +286,9 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     """Bring signals to common steps: each sample goes to the nearest step, each input is averaged up to the next step.
 
     Nothing is interpolated: a sensor without a sample near a step has none at that step. An input holds each sample from its
-    time stamp until the next one; a time stamp that lies closer to a step than rounding (a twentieth of a step) counts as at it.
-    Its value at a step is the mean of this course from the step to the next. Samples of an angle (`Signal.period`) are put on the
-    turn that is nearest to the last ones of its sensors.
+    time stamp until the next one. The value of the input at a step is the mean of this signal from the step to the next one. A
+    time stamp within a twentieth of a step from a step counts as at that step, because it may be rounded. A sample of an angle
+    (`Signal.period`) gets the number of full turns that brings it nearest to the last samples of the sensors of this angle.
 
     Parameters
     ----------

@@ -75,8 +75,8 @@ class Monitored:
         Alarms in the order of their start.
     rest : ndarray, steps
         Whether all sensors repeat their values at once, as in a parked car: then the quantity or the logger is at rest, which is
-        no fault. Meanwhile the fault probabilities of sensors keep their values, as in the gaps of the recording. So does the
-        belief, and there is no innovation, unless all sensors but one are coarse.
+        no fault. At these steps the fault probabilities of sensors keep their values, as in the gaps of the recording. The
+        belief also keeps its value, and there is no innovation. The latter two do not hold if all sensors but one are coarse.
     why_no_probability : str or None
         Why there are no probabilities, as a sentence.
     actuators : tuple of str
@@ -181,7 +181,8 @@ class Monitored:
     def burst_notes(self) -> list[str]:
         """Return a sentence for each sensor with many bursts of its own, from 1 % of its samples on.
 
-        Those at which another sensor has one, too, speak of the quantity or the model, as a bump does, and not of the sensor.
+        Bursts that another sensor has at the same time do not count: their cause is the quantity or the model, such as a bump,
+        and not the sensor.
         """
         notes = []
         for name, (flags, time) in self._bursts(alone=True).items():
@@ -273,7 +274,7 @@ def monitor_recording(
     alarm : Alarm, optional
         Conditions of an alarm; by default a fault probability of at least 0.9.
     compiled : bool, optional
-        False to run the plain Python form, with the same numbers. By default it is used for a short recording, because
+        False to run the plain Python form, with the same numbers. By default the Python form runs for a short recording, because
         compilation would take longer.
 
     Returns

@@ -34,7 +34,7 @@ class Simulation:
     Attributes
     ----------
     duration : float or str
-        Seconds.
+        Duration of the run in seconds.
     dt : float or str, optional
         Base step in seconds, and the default step of the model and the controller. By default, the model's or controller's.
     seed : int

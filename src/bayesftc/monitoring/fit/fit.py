@@ -78,8 +78,8 @@ class FittedModel:
     moves : bool
         Whether the motion is visible above the noise.
     strangers : dict of str to float
-        Sensors that do not follow the others, and how far each moves while the others move by 1. They have no effect on the
-        motion, and on the noise of the others. Of two sensors that do not agree both are in it.
+        Sensors that do not follow the others, and how far each moves while the others move by 1. They have no effect on
+        the motion, or on the noise of the others. If there are two sensors that do not agree, both are listed.
     changes : dict of str to Change
         Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
         sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
@@ -128,9 +128,9 @@ class FittedModel:
     def joint(self) -> bool:
         """Whether sensors are better judged together: then healthy ones are blamed less often.
 
-        It is so for two sensors or more, with or without lasting errors, also shared ones. The numbers are in the tutorial on
-        recorded sensors. It is not so if one does not follow the others. Samples that were left out are long faults to the
-        monitor, for which the joint form blames others.
+        True for two sensors or more, with or without lasting errors, including shared ones. The numbers are in the tutorial on
+        recorded sensors. False if a sensor does not follow the others. Also false if samples were left out: for the monitor they
+        are long faults, and the joint form blames other sensors for them.
         """
         return bool(self.changes) or not (self.strangers or self.coded)
 
@@ -148,9 +148,9 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
 
     The common part of the sensors' changes is the quantity's motion, the rest is noise. Both are estimated from moments of
     differences over several lags, in many short windows. Noise is the median over the windows, so a fault in fewer than half of
-    them has no effect. Motion is an upper quantile of the moving windows, so a calm part has no effect. Windows where a sensor
-    does not change at all are left out: it is frozen, or the car is parked. So are samples of a value that a sensor repeats
-    exactly while the others are far from it: it seems to stand for no sample.
+    them has no effect. Motion is an upper quantile over the windows with motion, so a calm part has no effect. Windows where a
+    sensor does not change at all are left out: it is frozen, or the car is parked. So are samples of a value that a sensor
+    repeats exactly while the others are far from it: it seems to stand for no sample.
 
     Parameters
     ----------
@@ -159,11 +159,13 @@ def fit_model(recording: Recording, stretch: slice = slice(None), *, gains: bool
     stretch : slice
         Steps in which the sensors are healthy; by default all. Errors and biases come from it. Motion comes from the whole
         recording, because no fault of a single sensor looks like it. A stretch of less than 1000 steps, or one in which the
-        quantity hardly moves, tells too little of errors (`FittedModel.borrows`): then noise, up to twice that of the stretch,
-        and wandering biases, up to the size of the noise and to those of most sensors, also come from the whole recording.
+        quantity hardly moves, is not enough to estimate errors. Then noise and wandering biases also come from the whole
+        recording (`FittedModel.borrows`). The noise is at most twice that of the stretch. The biases are at most as large as the
+        noise, and as those of most sensors.
     gains : bool
-        Whether a sensor may have a gain other than 1. It has one if it moves more or less than the others in both halves of the
-        stretch, and all others follow each other. Of two sensors, it is the second one. For angles give False.
+        Whether a sensor may have a gain other than 1. A sensor has such a gain if it moves more or less than the others in both
+        halves of the stretch, and all others follow each other. With two sensors, the second one gets the gain. For angles give
+        False.
 
     Returns
     -------

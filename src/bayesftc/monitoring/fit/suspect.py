@@ -77,7 +77,8 @@ class ModelSuspicion:
     ratio : float
         Root mean square of their innovations in this time, relative to the standard deviation that the model predicts.
     setting : str
-        ``"motion"`` or ``"noise"``, if a larger value of it ends the blame, or nearly; else empty.
+        ``"motion"`` or ``"noise"``, if with a larger value of this setting the sensors are no longer, or hardly, blamed; else
+        empty.
     factor : float
         How much larger it must be; else 1.
     sentence : str

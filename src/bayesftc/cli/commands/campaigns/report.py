@@ -26,7 +26,9 @@ def report(
             "the first factor with names, else the first one.",
         ),
     ] = None,
-    title: Annotated[str | None, typer.Option(help="The question; by default the folder's name.")] = None,
+    title: Annotated[
+        str | None, typer.Option(help="Title, such as the question of the campaign; by default the folder's name.")
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write the report of a campaign; after an error no partial file remains."""

@@ -35,7 +35,7 @@ def export(
         typer.Option(
             "--block",
             "-b",
-            help="A block of its loop, such as controller; several become one.",
+            help="A block of the scenario's loop, such as controller; repeat the option for several, which become one.",
             show_default=False,
             autocompletion=completion.blocks,
         ),

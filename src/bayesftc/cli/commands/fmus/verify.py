@@ -40,8 +40,8 @@ def verify(
     tolerance: Annotated[
         float,
         typer.Option(
-            help="Largest difference, relative to the largest value of a signal. 0: the same numbers. 1e-9 is usual for FMUs "
-            "of other tools, whose exp, log and sin are those of a C library."
+            help="Largest difference, relative to the largest value of a signal. With 0, all numbers must be equal. 1e-9 is "
+            "usual for FMUs of other tools, which use the exp, log and sin of a C library."
         ),
     ] = 0.0,
     timing: Annotated[Timing | None, typer.Option(help="The FMU's timing; by default from its description.")] = None,

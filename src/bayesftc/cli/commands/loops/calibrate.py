@@ -36,10 +36,10 @@ OPTIONS = {
 def calibrate(
     scenario: AScenario,
     time_to_fault: Annotated[
-        float | None, typer.Option(help="Mean time to a fault in seconds, by default 2.8 or 28 samples.")
+        float | None, typer.Option(help="Mean time to a fault in seconds, by default 2.8, or 28 samples if longer.")
     ] = None,
     time_to_recovery: Annotated[
-        float | None, typer.Option(help="Mean time to recovery in seconds, by default 0.4 or 4 samples.")
+        float | None, typer.Option(help="Mean time to recovery in seconds, by default 0.4, or 4 samples if longer.")
     ] = None,
     injection: Annotated[
         list[float] | None,
@@ -51,7 +51,7 @@ def calibrate(
     drift: Annotated[
         list[float] | None,
         typer.Option(
-            help="Drift per second, likewise, by default 5 sd of each sensor (less with samples above 0.1 s)."
+            help="Drift per second, given in the same way, by default 5 sd of each sensor (less for sample times above 0.1 s)."
         ),
     ] = None,
     steps: Annotated[

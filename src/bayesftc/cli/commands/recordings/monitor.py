@@ -79,10 +79,12 @@ def monitor(
         typer.Option(
             "--from",
             metavar="TIME",
-            help="All sensors are healthy from this time on, for --fit: seconds, or a date such as 2026-05-01T10:00.",
+            help="With --fit: all sensors are healthy from this time on; seconds, or a date such as 2026-05-01T10:00.",
         ),
     ] = None,
-    stop: Annotated[str | None, typer.Option("--to", metavar="TIME", help="And up to this time.")] = None,
+    stop: Annotated[
+        str | None, typer.Option("--to", metavar="TIME", help="With --fit: all sensors are healthy up to this time.")
+    ] = None,
     sensors: Annotated[
         list[str] | None,
         typer.Option(

@@ -54,7 +54,8 @@ def reproduce(
         bool,
         typer.Option(
             "--paper-only",
-            help="Leave out what is not in the paper: further techniques and faults; with all, also bound and those after it.",
+            help="Leave out further techniques and faults, which are not in the paper; with 'all', also bound and the "
+            "experiments after it in the list.",
         ),
     ] = False,
     json: Json = False,
