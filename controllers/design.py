@@ -122,8 +122,9 @@ def design(
         controller estimates the offsets. Of several sensors of a quantity, at least one must have no offset, unless a sensor of
         another quantity shows their common offset (a compass that of gyros). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
-        Inputs at which process noise acts, and its standard deviations; by default each control, with 5 % of half the range
-        between its limits, or of `acceptable_control`. The noise is white: a new value in each sample. A disturbance that lasts,
+        Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of half the range between
+        its limits; without limits, of `acceptable_control`; without either, of its size at the operating point, or of 1 if that
+        is smaller. The noise is white: a new value in each sample. A disturbance that lasts,
         as a gust, is a state of the plant that such noise drives. Noise that is given replaces the default: name a control as
         well if it has some. Give the noise if you know it. If the plant moves far less at random than the default assumes, the
         belief follows the noise of the sensors: it is less accurate than its variance says, and equal sensors seem unequal.
@@ -186,7 +187,8 @@ def design(
     Warns
     -----
     ModelMismatchWarning
-        If an FMU's response to a short step of a control differs from the model's; see `compare_with_plant`.
+        If an FMU's response to a short step of a control differs from the model's; see `compare_with_plant`. Also if no steady
+        state of a nonlinear plant was found within the limits of the controls.
     UnstableLoopWarning
         If the loop is unstable or nearly so.
 

@@ -134,7 +134,8 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
     - ``R`` (m x m): the sensor covariance in use; infinite on the diagonal for a sensor that is left out.
     - ``innovation`` (m): ``y - C x_t|t-1``, the state estimation residual; NaN for a missing sample.
     - ``precision`` (m), ``beta`` (m).
-    - ``fault_probability`` (m): NaN while a sensor delivers no sample, since nothing has to be inferred then.
+    - ``fault_probability`` (m): NaN at a missing sample, except with `SwitchingPrecision`, which
+      also infers whether a sensor has dropped out.
 
     With ``posterior_outputs`` there are three more, of the joint posterior p(x_t, u_t | y_1..t, goal) before limits:
 
@@ -328,12 +329,11 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
 
     @cached_property
     def undelayed(self) -> Self | None:
-        """Return the controller of the plant without delays, which has the same poles but those at 0; None if they differ.
+        """The controller of the plant without delays, which has the same poles except those at 0; None if they differ.
 
-        Delays multiply signals by powers of z, and the spectra whose factors have the poles of filter and control by powers whose
-        product is 1. This needs noises and errors of sensors, and costs of controls, that signals of different delays do not
-        share, and estimation apart from control. Eigenvalues of the whole matrix would be wrong: rounding moves those of a chain
-        of n delays from 0 to about the n-th root of 1e-16.
+        The poles differ if signals with different delays share noise, sensor errors or costs, or if estimation and control are
+        not separate. Eigenvalues of the whole matrix would be wrong: rounding moves those of a chain of n delays from 0 to about
+        the n-th root of 1e-16.
         """
         model, delays = self.model, self.model.delays
         if delays is None or self.belief != "filtered":

@@ -118,10 +118,10 @@ class ModelFinding:
         point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
         the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
         (all sensors of a quantity have a constant offset), ``"noise"``
-        (more process noise than in the model, or a load that changes all the time; only where another kind would count without
-        it, or `model_suspect` was raised),
-        ``"sensors"`` (one or several of them failed: without the samples for which the controller blames them nothing speaks
-        against the model; what explains the run if they are healthy is among the `others`),
+        (more process noise than in the model, or a load that changes all the time; only if another kind would be reported
+        without it, or `model_suspect` was raised),
+        ``"sensors"`` (one or several sensors failed: without the samples for which the controller blames them there is no
+        evidence against the model; the explanation for healthy sensors is among the `others`),
         ``"start"`` (the belief starts where the samples exclude it),
         ``"unknown"``.
     sentence : str
@@ -139,7 +139,8 @@ class ModelFinding:
         deviation of its change in a sample, its mean (0 if there is no evidence for a mean), and the share of the model's process
         covariance that remains beside the load; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
-        Log-likelihood ratio to the unchanged model, by the set of sensors with the least evidence.
+        Log-likelihood ratio to the unchanged model. Each set of sensors that can observe the plant on its own has one; this is
+        the least.
     others : tuple of str
         Kinds that explain the run nearly as well; the sentence has them as well.
 

@@ -284,9 +284,10 @@ class LinearModel(Printed, NamedArguments):
 
     @property
     def state_at_samples(self) -> Floats:
-        """The least deviation of the state from its prediction, at rest, at which all sensors of a quantity deviate by 1 (n x m).
+        """For each sensor, the least deviation of the state at which all sensors of its quantity deviate by 1 (n x m).
 
-        The other quantities do not deviate, as far as the plant's states permit that, nor do disturbances.
+        Other quantities do not deviate, as far as the plant's states permit that, nor do disturbances. Past readings deviate as
+        the present ones.
         """
         rest = self._rest()
         together = np.equal.outer(self.quantity, self.quantity).astype(float)

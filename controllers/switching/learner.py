@@ -84,10 +84,9 @@ class SwitchingPrecision(PrecisionLearner):
     """For each sensor a hidden Markov model over healthy and several fault modes.
 
     A sensor has ``P(healthy) + sum_k P(mode k) trust_k`` of its nominal precision. ``trust_k`` is 0 for a frozen sensor or one
-    with an offset, and learned for a noisier one (that mode is the paper's learner). At each sample the modes first begin and
-    end; a faulty sensor may fail in another way, as often as a healthy one (`FaultMode.alone`). Then each mode gives the log
-    density of the sample, so that no mode is lost. What a mode has learned about its fault is merged with the prior of a fault
-    that has just begun, as in an interacting-multiple-model filter.
+    with an offset, and learned for a noisier one (that mode is the paper's learner). At each sample, modes may begin and end, and
+    the density of the sample in each mode changes the probabilities of the modes. What a mode has learned about its fault is
+    merged with the prior of a fault that has just begun, as in an interacting-multiple-model filter.
 
     The model's standard deviations of sensors are a first guess. The noise of each sensor is learned while it is healthy, by a
     gamma distribution of its precision, and ``precision`` and ``R`` follow it (`noise_factor`). The share of samples that a

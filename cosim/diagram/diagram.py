@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class Diagram(LoopMethods):
-    """A closed diagram of blocks that run at multiples of one base step.
+    """A diagram of blocks that run at multiples of one base step.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Diagram(LoopMethods):
         block : Block
             The block.
         name : str, optional
-            Unique name in this diagram; by default the block's kind in small letters.
+            Unique name in this diagram; by default the block's `Block.default_name`, for most its kind in small letters.
         every : int
             The block runs at every `every`-th base step.
         """

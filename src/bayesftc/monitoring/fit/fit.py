@@ -82,7 +82,7 @@ class FittedModel:
         the motion, or on the noise of the others. If there are two sensors that do not agree, both are listed.
     changes : dict of str to Change
         Sensors that have moved away from the others and not returned, with the size, the first step, and whether the change is
-        sudden. Their biases and lasting errors come from the time before, as do those of a stretch in it.
+        sudden. Their biases and lasting errors are those before the change, or after it if the stretch lies there.
     parted : Change or None
         How two sensors have moved apart and not returned, if they have, as a change of the first. Biases and lasting errors come
         from the time before. Which of the two has moved is not known.

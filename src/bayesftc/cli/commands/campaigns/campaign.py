@@ -49,7 +49,8 @@ def campaign(
         ),
     ] = None,
     executor: Annotated[
-        Executor | None, typer.Option(help="What executes the runs; by default threads, if they can use all cores.")
+        Executor | None,
+        typer.Option(help="What executes the runs; by default threads if they can use all cores, else processes."),
     ] = None,
     jobs: Annotated[int | None, typer.Option(help="Number of workers; by default one for each core.")] = None,
     scheduler: Annotated[
