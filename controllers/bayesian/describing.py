@@ -146,9 +146,10 @@ def learner_lines(controller: BayesianController) -> list[str]:
 def gain_lines(controller: BayesianController) -> list[str]:
     """Return lines about the gains of filter and control in steady state."""
     gains = controller.steady_gains()
+    away = ", each as its deviation from the operating point" if controller.model.constant else ""
     return [
         f"Gain of the filter, a row for each state: {_rows(gains.K)}.",
-        f"The control is F goal - K belief. K, a row for each control: {_rows(gains.L)}.",
+        f"The control is F goal - K belief{away}. K, a row for each control: {_rows(gains.L)}.",
         f"F, a row for each control: {_rows(gains.M)}.",
     ]
 

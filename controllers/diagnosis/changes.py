@@ -339,9 +339,13 @@ def _signs(instants: int) -> Floats:
 
 
 def _solved(G: Floats, b: Floats) -> Floats:
-    """Return the solutions of normal equations, the smallest of several, in units in which each column has length 1."""
-    lengths = np.sqrt(np.maximum(np.diagonal(G, axis1=1, axis2=2), 1e-300))
-    scaled = G / (lengths[:, :, np.newaxis] * lengths[:, np.newaxis])
+    """Return the solutions of normal equations, the smallest of several, in units in which each column has length 1.
+
+    A column of which rounding has left no length, such as that of a push without a response, has the solution 0.
+    """
+    squares = np.diagonal(G, axis1=1, axis2=2)
+    lengths = np.sqrt(np.where(squares > 0.0, squares, np.inf))
+    scaled = np.clip(G / (lengths[:, :, np.newaxis] * lengths[:, np.newaxis]), -1.0, 1.0)
     solution: Floats = (
         np.einsum("kab,kb->ka", np.linalg.pinv(scaled, rcond=1e-10, hermitian=True), b / lengths) / lengths
     )

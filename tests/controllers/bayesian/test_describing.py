@@ -165,3 +165,19 @@ def test_a_mode_that_is_not_damped_and_has_no_goal_leaves_the_accuracy_of_the_ot
     speed = lqg(beside, goal_on=[[1.0, 0.0]])
     np.testing.assert_allclose(expected_accuracy(speed), expected_accuracy(alone), rtol=1e-3)
     assert speed.describe().splitlines()[-1].startswith("Expected errors without faults")
+
+
+def test_the_law_about_an_operating_point_is_one_of_deviations():
+    tank = control.nlsys(
+        lambda t, x, u, params: 0.5 * u - 0.1 * np.sqrt(np.abs(x)), lambda t, x, u, params: x,
+        inputs=["u"], outputs=["h"], states=["h"],
+    )  # fmt: skip
+    plant = cosim.StateSpace(tank, initial=[4.0])
+    controller = controllers.design(plant, dt=0.1, u_min=0.0, u_max=2.0, sensors=2)
+    gains, out = controller.steady_gains(), controller.online(compiled=False)(y=[None, None], goal=[4.2])
+    (u0,), (x0,) = controller.model.operating_control, controller.model.operating_state
+    assert (u0, x0) == (pytest.approx(0.4), pytest.approx(4.0))
+    assert out.u[0] - u0 == pytest.approx(gains.M[0, 0] * (4.2 - x0) - gains.L[0, 0] * (out.x_hat[0] - x0))
+    words = "The control is F goal - K belief, each as its deviation from the operating point. K, a row for each control: "
+    assert words in controller.describe()
+    assert "The control is F goal - K belief. K, a row" in lqg().describe()

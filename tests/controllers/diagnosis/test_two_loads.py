@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers
+from bayesftc.controllers.diagnosis.changes import _solved
 from bayesftc.controllers.diagnosis.words import sentence
 
 STD = np.array([0.1, 0.1, 0.03, 0.2])
@@ -86,3 +87,9 @@ def test_what_no_explanation_covers_may_still_be_loads():
     assert "not one or two loads of constant size" in words
     assert "Against loads that change, estimate them (disturbance in design" in words
     assert "more process noise" not in words
+
+
+def test_a_push_of_which_rounding_leaves_no_response_has_no_size():
+    """Its squared length is 0, but its products are not: `bayesftc run` of an engine with three faults ended in a LinAlgError."""
+    G = np.array([[[0.0, 4e-16, 1e-7], [4e-16, -1e-16, 3e-8], [1e-7, 3e-8, 2.0]]])
+    np.testing.assert_allclose(_solved(G, np.array([[1e-8, 0.0, 3.0]])), [[0.0, 0.0, 1.5]])

@@ -117,7 +117,14 @@ def run(
             error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    add_findings(numbers, loop, result, signals)
+    try:
+        add_findings(numbers, loop, result, signals)
+    except Exception:  # an error of this package, which must not take the run with it
+        if not json and not quiet:
+            output.print_report(numbers)
+        if out is not None:
+            output.write_files(out, result, numbers, signals)
+        raise
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
