@@ -208,7 +208,7 @@ def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]
         calmer = _calmer(judge.model, share)
         if (bank := observers(calmer, everyone)) is not None:
             calm = Judge(calmer, bank, judge.recording)
-            less = float((together.first - calm.first).sum()) - 0.5 * np.log(calm.masks[0].sum())  # the share is fitted
+            less = float((together.first - calm.first).sum()) - 0.5 * np.log(calm.rows[0])  # the share is fitted
             others += [replace(x, support=(x.total + less,)) for x in explanations(calm) if x.kind in kinds]
     ahead = _best_evidence(random) - _best_evidence(others)
     if ahead > NEARLY and _best_evidence(random) > EVIDENCE:

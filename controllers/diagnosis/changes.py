@@ -117,7 +117,7 @@ def _likely(judge: Judge) -> list[int]:
     sets = []
     for k, chosen in enumerate(judge.bank.sensors):
         e = np.zeros((steps, len(chosen)))
-        e[judge.masks[k]] = judge.free(judge.base, k, judge.begin)[0].reshape(-1, len(chosen))
+        e[judge.masks[k]] = judge.free(judge.base, k, judge.begin)[0]
         responses = loads[k][:, :, list(chosen)]
         shifts = np.conj(np.fft.rfft(responses, 2 * steps, axis=1))  # twice as long: no wrapping around
         sets.append((responses, shifts, e))
@@ -275,7 +275,7 @@ class _Pushes:
 
     def _cheapest(self, found: Sequence[_Found]) -> _Found | None:
         """Return the pushes with the least loss and cost of parameters."""
-        counts = [0.5 * np.log(mask.sum()) for mask in self.judge.masks]
+        counts = [0.5 * np.log(rows) for rows in self.judge.rows]
         return min(found, key=lambda x: float(x.losses.sum() + x.parameters * sum(counts)), default=None)
 
     def _best(self, ends: NDArray[np.intp], group: tuple[int, ...]) -> _Found | None:

@@ -12,6 +12,8 @@ from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, healthy_stretches
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from bayesftc.controllers.estimation.observers import Observers
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
@@ -90,17 +92,23 @@ class Judge:
         self.moved = recording.u @ model.matrix("B").T
         (white,), self.states = innovations([model], [bank], recording, self.moved[None, None])
         self.base = white[:, :1]
-        present = np.isfinite(recording.y)
-        self.masks = [present[:, list(chosen)].all(axis=1) for chosen in bank.sensors]
+        present: NDArray[np.bool_] = np.isfinite(recording.y)
+        of_sets = [present[:, list(chosen)] for chosen in bank.sensors]
+        # Without slow sensors, a step at which one of a set is missing does not count: the filter expects all of them.
+        self.masks = of_sets if recording.pattern else [x & x.all(axis=1, keepdims=True) for x in of_sets]
+        self.rows = [int(mask.any(axis=1).sum()) for mask in self.masks]
         self.begin = self.beginnings(white)
         self.first, self.first_squares = self.cost(self.base, bank, self.begin)
 
     def part(self, white: Floats, k: int) -> Floats:
         """Return the innovations of one set that count, under H explanations (H x scalars)."""
         mask, chosen = self.masks[k], self.bank.sensors[k]
-        counting = white[k] if mask.all() else white[k][:, mask]
         # np.take copies in the order of the result, so that reshape need not copy once more.
-        return np.take(counting, chosen, axis=2).reshape(len(counting), -1)
+        if mask.all():
+            return np.take(white[k], chosen, axis=2).reshape(len(white[k]), -1)
+        if self.recording.pattern is None:
+            return np.take(white[k][:, mask[:, 0]], chosen, axis=2).reshape(len(white[k]), -1)
+        return np.take(white[k], chosen, axis=2)[:, mask]
 
     def beginnings(self, white: Floats) -> list[Floats]:
         """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis).
@@ -128,20 +136,26 @@ class Judge:
 
     def losses(self, squares: Floats, bank: Observers | None = None) -> Floats:
         """Return the negative log-likelihood of mean squares (sets, or sets x H), by observers, by default the model's own."""
-        whiten, sizes = (bank or self.bank).whiten, [mask.sum() for mask in self.masks]
         each = [
-            0.5 * len(chosen) * size * np.log(np.maximum(square, 1e-300))
-            - np.log(np.diag(whiten[k])[list(chosen)]).sum() * size
-            for k, (chosen, size, square) in enumerate(zip(self.bank.sensors, sizes, squares, strict=True))
+            0.5 * mask.sum() * np.log(np.maximum(square, 1e-300)) - self._weights(bank or self.bank, k)
+            for k, (mask, square) in enumerate(zip(self.masks, squares, strict=True))
         ]
         return np.array(each)
+
+    def _weights(self, bank: Observers, k: int) -> float:
+        """Return the sum of the logarithms by which the innovations of one set that count are weighted."""
+        chosen, pattern = list(bank.sensors[k]), self.recording.pattern
+        if pattern is None:
+            return float(np.log(np.diag(bank.whiten[k])[chosen]).sum() * self.rows[k])
+        weights = np.diagonal(pattern.of([bank])[0].whiten[k], axis1=1, axis2=2)[:, chosen]
+        return float(np.log(weights[pattern.phase[: len(self.masks[k])]][self.masks[k]]).sum())
 
     def of(
         self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
     ) -> list[Explanation]:
         """Return the explanations of one kind, each with its evidence relative to the unchanged model, by sets of sensors."""
         losses, squares = costs
-        price = np.array([0.5 * parameters * np.log(mask.sum()) for mask in self.masks])
+        price = 0.5 * parameters * np.log(self.rows)
         gain = self.first - losses - price[:, None]
         left = squares / self.first_squares
         by_set = [[tuple(map(float, column)) for column in table.T] for table in (gain, left, squares)]
@@ -194,6 +208,7 @@ class Judge:
             y=np.where(np.isfinite(self.recording.y) | whole, readings, np.nan),
             mean=np.zeros_like(self.recording.mean),
             begins=(0,) if whole else self.recording.begins,
+            pattern=None if whole else self.recording.pattern,
         )
         (white,), _ = innovations([self.model], [self.bank], silent, pushes[None])
         return np.asarray(white[:, : len(pushes)])

@@ -46,6 +46,8 @@ class Observers:
 
     Attributes
     ----------
+    model : LinearModel
+        The model.
     sensors : tuple of tuple of int
         The sensors of each set.
     gain : ndarray, shape (K, n, m)
@@ -60,6 +62,7 @@ class Observers:
         Samples in which the slowest observer forgets its initial state.
     """
 
+    model: LinearModel
     sensors: tuple[tuple[int, ...], ...]
     gain: Floats
     whiten: Floats
@@ -127,7 +130,7 @@ def _of_sets(model: LinearModel, sets: tuple[tuple[int, ...], ...]) -> Observers
         settling = max(settling, samples)
     transition = model.matrix("A").copy()
     transition[:n, :n] = A
-    return Observers(sets, model.matrix("A") @ correction, whiten, noise, covariance, transition, settling)
+    return Observers(model, sets, model.matrix("A") @ correction, whiten, noise, covariance, transition, settling)
 
 
 def _with_faster_errors(model: LinearModel) -> tuple[Floats, Floats]:

@@ -178,6 +178,8 @@ def test_the_law_about_an_operating_point_is_one_of_deviations():
     (u0,), (x0,) = controller.model.operating_control, controller.model.operating_state
     assert (u0, x0) == (pytest.approx(0.4), pytest.approx(4.0))
     assert out.u[0] - u0 == pytest.approx(gains.M[0, 0] * (4.2 - x0) - gains.L[0, 0] * (out.x_hat[0] - x0))
-    words = "The control is F goal - K belief, each as its deviation from the operating point. K, a row for each control: "
+    words = (
+        "The control is F goal - K belief, each as its deviation from the operating point. K, a row for each control: "
+    )
     assert words in controller.describe()
     assert "The control is F goal - K belief. K, a row" in lqg().describe()
