@@ -101,7 +101,7 @@ def design(
         `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default, of a system of
-        python-control, all outputs, and all inputs without `noise` (all inputs if each has noise). Of an FMU there is a default
+        python-control, all outputs, and all inputs without `noise`, or the only input. Of an FMU there is a default
         only if it has a single output or input. Leave them out for a `LinearModel` or an `Identification`, which contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
@@ -349,12 +349,12 @@ def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
 def _without_choice(
     plant: FMU | StateSpace, side: Literal["inputs", "outputs"], others: Container[str] = ()
 ) -> list[str]:
-    """Return all inputs or outputs of a plant but the `others`, or all if each is among these; refuse several of an FMU.
+    """Return all inputs or outputs of a plant but the `others`, or the only one; refuse several of an FMU.
 
     An FMU has them for many purposes.
     """
     names = [port.name for port in getattr(plant, side) if port.draw is None]
-    left = [name for name in names if name not in others] or names
+    left = [name for name in names if name not in others] or (names if len(names) == 1 else [])
     if not left or (isinstance(plant, FMU) and len(left) > 1):
         known = f"{', '.join(names[:8])}{', ...' if len(names) > 8 else ''}" if names else "none"
         setting = "actuated" if side == "inputs" else "measured"

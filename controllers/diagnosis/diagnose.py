@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,6 +68,9 @@ SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
 """Kinds with many parameters."""
+
+UNJUDGED = "Faults of several sensors may look the same: this controller does not infer them."
+"""What is said where no fault probabilities tell a fault of each set of sensors from a wrong model."""
 
 OF_FAULTS = {"offset", "noise"}
 """Kinds that several faulty sensors look like."""
@@ -255,9 +259,14 @@ def diagnose(
     if nothing := result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
     if result is not None:
-        blamed = _blamed(signals, samples, name, together=result.kind in {"unknown", *OF_FAULTS})
-        if blamed is not None:
-            result = _beside(result, _without_blamed(model, samples, blamed, found))
+        probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
+        left = _of_faults(result, model, samples, probability, found, faulty_sensors)
+        if left is not None and result.kind != "unknown":
+            otherwise = f"{left.sentence} With all samples, as if no sensor had failed: {result.sentence}"
+            left = replace(left, sentence=otherwise, others=(result.kind, *result.others))
+        result = left or result
+        if result.kind in {"unknown", "onset", *OF_FAULTS} and not np.isfinite(probability).any():
+            result = replace(result, sentence=f"{result.sentence} {UNJUDGED}")
     if result is None or (nothing and result.kind == "unknown"):
         started = wrong_start(model, controller, samples, units[0])
         result = result if started is None else ModelFinding("start", *started)
@@ -272,15 +281,21 @@ def diagnose(
     return replace(result, sentence=f"{loud}{far}{result.sentence}{pushed}{acting}")
 
 
-def _beside(result: ModelFinding, left: ModelFinding | None) -> ModelFinding:
-    """Return a finding beside that without the samples of blamed sensors, where these may be all that is wrong."""
-    if left is None or (result.kind != "unknown" and left.kind != "sensors"):
-        return result
-    if result.kind == "unknown":
-        return left
-    return replace(
-        left, sentence=f"{left.sentence} If they are healthy: {result.sentence}", others=(result.kind, *result.others)
-    )
+def _of_faults(
+    result: ModelFinding,
+    model: LinearModel,
+    samples: Floats,
+    probability: Floats,
+    found: Callable[[Floats], ModelFinding | None],
+    words: Callable[..., str],
+) -> ModelFinding | None:
+    """Return the finding without the samples of blamed sensors, where these may be all that is wrong; else None.
+
+    `probability` has the fault probability of each sensor, if it was recorded; `words` are those of `faulty_sensors`.
+    """
+    blamed = _blamed(probability, samples, together=result.kind in {"unknown", *OF_FAULTS})
+    left = None if blamed is None else _without_blamed(model, samples, blamed, found, words)
+    return left if left is not None and (result.kind == "unknown" or left.kind == "sensors") else None
 
 
 def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
@@ -290,14 +305,13 @@ def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together: bool) -> NDArray[np.bool_] | None:
+def _blamed(probability: Floats, samples: Floats, *, together: bool) -> NDArray[np.bool_] | None:
     """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
     One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
     Several sensors count if another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
     `_without_blamed` decides whether they are all that is wrong.
     """
-    probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
     blamed = probability.reshape(len(probability), -1) >= ALARM
     if blamed.shape != np.shape(samples):
         return None
@@ -309,7 +323,11 @@ def _blamed(signals: Mapping[str, Any], samples: Floats, name: str, *, together:
 
 
 def _without_blamed(
-    model: LinearModel, samples: Floats, blamed: NDArray[np.bool_], found: Callable[[Floats], ModelFinding | None]
+    model: LinearModel,
+    samples: Floats,
+    blamed: NDArray[np.bool_],
+    found: Callable[[Floats], ModelFinding | None],
+    words: Callable[..., str],
 ) -> ModelFinding | None:
     """Return the finding without the samples of the sensors that are blamed for long, or else of all; None if it is no better.
 
@@ -323,8 +341,8 @@ def _without_blamed(
         if trusted is not None and left is None:
             together = int(blamed[:, named].sum(axis=1).max())
             partner = not any(group == tuple(named) for group in model.alike)
-            words = faulty_sensors(named, together=together, alone=len(chosen) == len(named), partner=partner)
-            return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", words)
+            said = words(named, together=together, alone=len(chosen) == len(named), partner=partner)
+            return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", said)
         if left is not None and left.kind != "unknown":
             return left
     return None
@@ -409,9 +427,21 @@ def diagnose_recording(
     return _finding(model, y, u, initial_mean, alone=False)
 
 
-def diagnose_inputs(model: LinearModel, y: Floats, u: Floats, initial_mean: Floats) -> ModelFinding | None:
-    """Return the finding of `diagnose_recording` in the words of a monitor, whose recorded inputs may be measured."""
-    return _finding(model, y, u, initial_mean, alone=False, recorded=True)
+def diagnose_inputs(
+    model: LinearModel, y: Floats, u: Floats, initial_mean: Floats, probability: Floats | None = None
+) -> ModelFinding | None:
+    """Return the finding of `diagnose_recording` in the words of a monitor, whose recorded inputs may be measured.
+
+    `probability` (steps x m) has the fault probabilities of the monitor, if it has run.
+    """
+
+    def found(samples: Floats) -> ModelFinding | None:
+        return _finding(model, samples, u, initial_mean, alone=False, recorded=True)
+
+    result = found(y)
+    if result is None or probability is None:
+        return result
+    return _of_faults(result, model, y, probability, found, partial(faulty_sensors, recorded=model.names)) or result
 
 
 def _finding(

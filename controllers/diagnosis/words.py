@@ -18,7 +18,7 @@ from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.signals import ALARM
 
 if TYPE_CHECKING:
-    from bayesftc.controllers.models.linear import LinearModel
+    from bayesftc.controllers.models.linear import LinearModel, SignalNames
     from bayesftc.cosim.types import Floats
 
 ALIKE = "All sensors disagree with the model in the same way"
@@ -53,10 +53,16 @@ DIFFERENT = (
 """What to think of such offsets before they are believed."""
 
 SEVERAL = (
-    " All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
-    "the same. Try disturbance=True in design first."
+    "All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
+    "the same. Try disturbance=True in design first. If they are offsets, s"
 )
 """What to try before offsets of several quantities are believed."""
+
+ELSEWHERE = (
+    "All sensors of several quantities are rarely wrong together: a load that acts elsewhere than the control, or a plant with "
+    "other gains, looks the same. Look at both first (docs/how-to/constant-disturbances.md). If they are offsets, s"
+)
+"""The same, where the controller already estimates a load at the control."""
 
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
@@ -91,7 +97,7 @@ def sentence(
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
         "noise": partial(_noise, units=control_units),
         **(OF_INPUTS if recorded else {}),
-        "offset": partial(_offset, units=units, controlled=moved and not recorded and not has_loads(model)),
+        "offset": partial(_offset, units=units, controlled=moved and not recorded),
     }
     said: dict[str, str] = {}
     for each, its in found:
@@ -141,17 +147,20 @@ def inferred_fault(inferred: Sequence[float] | None, model: LinearModel, control
     )
 
 
-def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner: bool = True) -> str:
+def faulty_sensors(
+    blamed: Sequence[int], *, together: int, alone: bool, partner: bool = True, recorded: SignalNames | None = None
+) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
     `together`: so many are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
-    `partner`: another sensor measures the quantity of a single one.
+    `partner`: another sensor measures the quantity of a single one. `recorded`: the names in a recording, for a monitor.
     """
-    *most, last = map(str, blamed)
+    *most, last = (str(i) if recorded is None else recorded.sensors[i] for i in blamed)
     at_once = "" if together < 2 else " at the same time"
     if 1 < together <= len(most):
         at_once = f", at most {together} of them{at_once}"
-    who = f"sensors {', '.join(most)} and {last}{at_once}" if most else f"sensor {last}"
+    sensors = ("sensors " if most else "sensor ") if recorded is None else ""
+    who = f"{sensors}{', '.join(most)} and {last}{at_once}" if most else f"{sensors}{last}"
     which = "any sensor" if not alone else "them" if most else "it"
     they = (
         "they are faulty, or the model is wrong and they are"
@@ -165,8 +174,9 @@ def faulty_sensors(blamed: Sequence[int], *, together: int, alone: bool, partner
         "probably wrong, or others have failed for a time as well."
     )
     return (
-        f"The controller blames {who}. Apart from the samples for which it blames {which}, nothing certain speaks "
-        f"against the model. {cause} If the run has faults of sensors, one without them may name the error."
+        f"The {'controller' if recorded is None else 'monitor'} blames {who}. Without the samples for which it blames {which}, "
+        f"nothing certain speaks against the model. {cause} If the {'run' if recorded is None else 'recording'} has faults of "
+        "sensors, one without them may name the error."
     )
 
 
@@ -273,11 +283,12 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
-    doubt = SEVERAL if len(groups) > 1 and controlled else ""
+    doubt = DIFFERENT if _unequal(values, model) else "S"
+    if len(groups) > 1 and controlled:
+        doubt = ELSEWHERE if has_loads(model) else SEVERAL
     return (
-        f"{each}. {DIFFERENT if _unequal(values, model) else 'S'}ubtract them from the readings, or estimate them: "
-        f"LinearModel.with_sensor_errors(std={std}, time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model "
-        f"file.{doubt}"
+        f"{each}. {doubt}ubtract them from the readings, or estimate them: LinearModel.with_sensor_errors(std={std}, "
+        f"time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model file."
     )
 
 

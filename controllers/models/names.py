@@ -114,8 +114,9 @@ def measured_by(sensors: int | Sequence[int] | None, outputs: int) -> list[int]:
         count = outputs if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
         if count % outputs:
             raise ModelError(
-                f"{count} sensors are not a multiple of {outputs} measured outputs. Sensor i measures output i modulo the number "
-                f"of outputs; give a multiple, or a number for each output, such as sensors={(*[1] * (outputs - 1), 3)}."
+                f"The sensors are {count}, which is no multiple of the {outputs} measured outputs. Give a number for each, "
+                f"such as sensors={(*[1] * (outputs - 1), 3)} for one sensor of each but three of the last. A single number must "
+                f"be a multiple of {outputs}: the sensors then measure the outputs in turn."
             )
         return [i % outputs for i in range(count)]
     counts = [int(as_number("The model has sensors", each, least=1, whole=True)) for each in sensors]  # type: ignore[union-attr]

@@ -12,11 +12,10 @@ from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
-from bayesftc.cli.commands.recordings.monitor import _rate, _remedy, monitor as monitor_command
-from bayesftc.controllers import ModelMismatchWarning
+from bayesftc.cli.commands.recordings.monitor import _rate, _remedy
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
-from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, Monitor, SensorErrors, Signal, align, load_monitor
+from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, SensorErrors, Signal, align, load_monitor
 
 RUNNER = CliRunner()
 
@@ -409,14 +408,31 @@ def test_a_wrong_model_is_named_before_the_result(model, kind, words, pumped):
     assert json.loads(watch_pumped(pumped, *values, "--json").stdout)["model"]["kind"] == kind
 
 
-def test_the_model_is_judged_before_the_monitor_runs(pumped, monkeypatch):
-    monkeypatch.setattr(Monitor, "run", lambda *_: pytest.fail("It has begun."))
-    (pumped / "model.toml").write_text(DRIVEN.format(dt=0.1, A=0.98, B=-0.2), encoding="utf-8")
-    with (
-        pytest.warns(ModelMismatchWarning, match="Check its sign, unit"),
-        pytest.raises(pytest.fail.Exception, match="begun"),
-    ):
-        monitor_command([pumped / "tank.csv"], pumped / "model.toml", quiet=True)
+def test_faults_of_sensors_of_two_quantities_are_no_error_of_a_right_model(tmp_path):
+    """It warned that all sensors disagree with the model, and advised more process noise."""
+    rng, n, A = np.random.default_rng(0), 1500, np.array([[0.97, 0.02], [0.0, 0.95]])
+    u, x = np.where(np.arange(n) // 70 % 2, 1.0, 0.2), np.zeros((n, 2))
+    for k in range(n - 1):
+        x[k + 1] = A @ x[k] + [0.1 * u[k], 0.5 * u[k]] + np.array([0.01, 0.02]) * rng.standard_normal(2)
+    y = x[:, [0, 0, 1, 1]] + [0.1, 0.1, 0.2, 0.2] * rng.standard_normal((n, 4))
+    y[500:, 0] += 0.01 * np.arange(n - 500)
+    y[900:, 3] = y[900, 3]
+    columns = {"t": 0.1 * np.arange(n), "pump": u, **dict(zip("abcd", y.T, strict=True))}
+    pd.DataFrame(columns).to_csv(tmp_path / "two.csv", index=False)
+    text = 'dt = 0.1\n[model]\nkind = "Matrices"\nA = [[0.97, 0.02], [0.0, 0.95]]\nB = [[0.1], [0.5]]\n'
+    text += "process_covariance = [[1e-4, 0.0], [0.0, 4e-4]]\n[inputs.pump]\n[sensors.a]\nstd = 0.1\n[sensors.b]\nstd = 0.1\n"
+    text += "".join(f"[sensors.{name}]\nstd = 0.2\nreads = [0.0, 1.0]\n" for name in "cd")
+    (tmp_path / "two.toml").write_text(text)
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "two.csv"), "--model", str(tmp_path / "two.toml"), "--json"])
+    numbers = json.loads(done.stdout)
+    assert [(event["sensor"], event["kind"]) for event in numbers["faults"]] == [("a", "Drifting"), ("d", "Frozen")]
+    assert numbers["model"]["kind"] == "sensors"
+    assert numbers["notes"][0].startswith(
+        "The monitor blames a and d at the same time. Without the samples for which it"
+    )
+    assert "disagree" not in done.stderr
+    monitor = load_monitor(tmp_path / "two.toml")
+    assert monitor.compare(monitor.read(tmp_path / "two.csv")).kind == "noise"
 
 
 @pytest.mark.slow

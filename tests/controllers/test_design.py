@@ -186,7 +186,6 @@ def test_the_only_input_is_the_control_also_if_it_has_noise():
     assert design(lag, dt=1.0, noise={"u": 0.3}).model.names.controls == ("u",)
     gusty = control.ss([[-0.1]], [[0.1, 0.2]], [[1.0]], 0.0, inputs=["u", "gust"], outputs=["y"])
     assert design(gusty, dt=1.0, noise={"gust": 0.3}).model.names.controls == ("u",)
-    assert design(gusty, dt=1.0, noise={"gust": 0.3, "u": 0.1}).model.names.controls == ("u", "gust")
 
 
 def test_a_control_that_cannot_hold_any_steady_state_is_said():
@@ -323,7 +322,7 @@ def test_outputs_may_have_different_numbers_of_sensors():
     four = design(tank, **settings, sensors=(1, 3), sensor_std=(0.01, 0.2))
     with pytest.raises(ConnectionError, match=r"sensors=cosim\.Sensors\(count=\(1, 3\), std="):
         cosim.closed_loop(tank, four, control=["valve", "heater"], measured=["h", "T"], reference=[1.0, 5.0])
-    with pytest.raises(ModelError, match=r"3 sensors are not a multiple of 2 .* sensors=\(1, 3\)"):
+    with pytest.raises(ModelError, match=r"are 3, which is no multiple of the 2 .* sensors=\(1, 3\)"):
         design(tank, **settings, sensors=3)
     with pytest.raises(ModelError, match=r"without names, in the order of the measured outputs: sensors=\(1, 3\)"):
         design(tank, **settings, sensors={"h": 1, "T": 3})

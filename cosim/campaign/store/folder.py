@@ -380,6 +380,17 @@ def _another(unlike: Sequence[str], stored: Plan, given: Plan) -> str:
             f"has seeds={before}, not seeds={now}. A store keeps its number of runs. Choose another folder, or give "
             f"seeds={before} to go on."
         )
+    factors, others = (list(dict.fromkeys(name for point in plan.points for name in point)) for plan in (stored, given))
+    only = [
+        f"{', '.join(names)} only {where}"
+        for where, names in (
+            ("in the store", [name for name in factors if name not in others]),
+            ("now", [name for name in others if name not in factors]),
+        )
+        if names
+    ]
+    if only:
+        unlike = [f"it varies {' and '.join(only)}"]
     more = f" (and {len(unlike) - 3} more)" if len(unlike) > 3 else ""
     advice = "Choose another folder, or use the settings of the stored campaign. To read its results, open runs.parquet there."
     return f"is another one: {'; '.join(unlike[:3])}{more}. {advice}"

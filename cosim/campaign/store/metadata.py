@@ -187,7 +187,17 @@ def differences(stored: Any, given: Any, place: str = "") -> list[str]:
         given, default=repr
     ):  # as texts, NaN equals NaN, and 1 is not 1.0
         return []
-    return [f"{place} is {_text_of(stored)} in the store and {_text_of(given)} now"]
+    old, new = _text_of(stored), _text_of(given)
+    if (
+        old == new and isinstance(stored, str) and isinstance(given, str)
+    ):  # long texts: from a little before the difference on
+        alike = next((i for i, (a, b) in enumerate(zip(stored, given, strict=False)) if a != b), 0)
+        old, new = (f"...{brief(text[max(alike - SHOWN, 0) :])}" for text in (stored, given))
+    return [f"{place} is {old} in the store and {new} now"]
+
+
+SHOWN = 20
+"""Letters before a difference of two long texts that a message shows."""
 
 
 class _Absent:

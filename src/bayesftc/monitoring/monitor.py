@@ -409,13 +409,16 @@ class Monitor:
             for name, i in self.inputs.items()
         }
 
-    def compare(self, recording: Recording) -> ModelFinding | None:
+    def compare(self, recording: Recording, monitored: Monitored | None = None) -> ModelFinding | None:
         """Compare the sensors' samples with the predictions of the model, driven by the recorded inputs.
 
         Parameters
         ----------
         recording : Recording
             From `read`.
+        monitored : Monitored, optional
+            What `run` returned for it: if nothing speaks against the model without the samples for which it blames their sensors,
+            the finding names these sensors (the kind ``"sensors"``).
 
         Returns
         -------
@@ -430,7 +433,8 @@ class Monitor:
         model = replace(model, names=SignalNames(inputs, tuple(self.sensors), states))  # for the sentences
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
-        return diagnose_inputs(model, recording.y, recording.u, start)
+        probability = None if monitored is None else monitored.fault_probability
+        return diagnose_inputs(model, recording.y, recording.u, start, probability)
 
     def run(
         self,

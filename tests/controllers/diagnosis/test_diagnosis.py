@@ -14,7 +14,7 @@ from wrong_models import LEARNERS, Case, cases, loop, parts, run
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_inputs, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
-from bayesftc.controllers.diagnosis.words import moved_at_times, sentence
+from bayesftc.controllers.diagnosis.words import faulty_sensors, moved_at_times, sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, UNCERTAIN, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError
@@ -207,7 +207,7 @@ def test_faulty_sensors_of_two_quantities_come_before_offsets_and_noise():
     finding = controllers.diagnose(*two_faulty(joint))
     assert finding.kind == "sensors"
     assert finding.sentence.startswith("The controller blames sensors 0 and 3 at the same time.")
-    assert "If they are healthy: " in finding.sentence
+    assert "With all samples, as if no sensor had failed: " in finding.sentence
     assert set(finding.others) & {"offset", "noise"}
 
 
@@ -1137,37 +1137,39 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
         tried.append(np.isnan(samples).mean(axis=0).tolist())
         return None if np.isnan(samples[130, 0]) else controllers.ModelFinding("unknown", "")
 
-    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found, faulty_sensors)
     assert (finding.kind, finding.sentence.partition(".")[0]) == ("unknown", "The controller blames sensor 0")
     assert "the model is probably wrong" in finding.sentence
     alone = replace(MODEL, C=[[1.0], [0.5], [0.5]], sensor_covariance=np.eye(3))  # no other sensor of its quantity
-    only = _without_blamed(alone, np.zeros((500, 3)), blamed, lambda samples: None)
+    only = _without_blamed(alone, np.zeros((500, 3)), blamed, lambda samples: None, faulty_sensors)
     assert (only.kind, "Either it is faulty, or the model is wrong" in only.sentence) == ("sensors", True)
     assert tried == [[1.0, 0.0, 0.0]]  # it is left out of all of the run, and the others of no part
 
     three = replace(MODEL, C=[[1.0]] * 4, sensor_covariance=np.eye(4))
     blames = np.zeros((500, 4), dtype=bool)
     blames[100:300, 0] = blames[200:400, 1] = blames[300:500, 2] = True  # one after another
-    said = _without_blamed(three, np.zeros((500, 4)), blames, lambda samples: None).sentence
-    assert said.startswith("The controller blames sensors 0, 1 and 2, at most 2 of them at the same time. Apart")
+    said = _without_blamed(three, np.zeros((500, 4)), blames, lambda samples: None, faulty_sensors).sentence
+    assert said.startswith("The controller blames sensors 0, 1 and 2, at most 2 of them at the same time. Without")
 
     def only_without_all(samples):
         return None if np.isnan(samples[130]).sum() == 2 else controllers.ModelFinding("unknown", "")
 
-    finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all)
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all, faulty_sensors)
     assert finding.sentence.startswith(
-        "The controller blames sensor 0. Apart from the samples for which it blames any sensor"
+        "The controller blames sensor 0. Without the samples for which it blames any sensor"
     )
     blamed[120:400, 1] = True
-    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found)
+    finding = _without_blamed(model, np.zeros((500, 3)), blamed, found, faulty_sensors)
     assert finding.kind == "sensors"
     assert (
-        "The controller blames sensors 0 and 1 at the same time. Apart from the samples for which it blames them"
+        "The controller blames sensors 0 and 1 at the same time. Without the samples for which it blames them"
         in finding.sentence
     )
     assert "or the model is wrong" in finding.sentence
     assert (
-        _without_blamed(model, np.zeros((500, 3)), blamed, lambda samples: controllers.ModelFinding("unknown", ""))
+        _without_blamed(
+            model, np.zeros((500, 3)), blamed, lambda samples: controllers.ModelFinding("unknown", ""), faulty_sensors
+        )
         is None
     )
 
@@ -1245,6 +1247,4 @@ def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):
     )  # fmt: skip
     finding = controllers.diagnose(loop.simulate(8.0, seed=seed), loop)
     assert (finding.kind, finding.others) == ("sensors", ("onset",))
-    assert finding.sentence.startswith(
-        "The controller blames sensors 0 and 1. Apart from the samples for which it blames"
-    )
+    assert finding.sentence.startswith("The controller blames sensors 0 and 1. Without the samples for which it blames")

@@ -266,9 +266,17 @@ def test_another_campaign_is_refused_and_what_differs_is_said(tmp_path):
             "signals.plant.v.unit is 'm/s' in the store and 'km/h' now",
         ),
         ({"fmus": {"00": "car.fmu"}}, "fmus.00 is absent in the store and 'car.fmu' now"),
+        (
+            {"plan": Plan(tuple({**point, "m": 1.0} for point in POINTS), PLAN.seeds, 3)},
+            r"it varies m only now\. Choose",
+        ),
     ):
         with pytest.raises(StoreError, match=words):
             resume(path, **(more | changes))
+    long, longer = ({"description": {"controller": "x" * 300 + end}} for end in ("1.0)", "2.0)"))
+    create(tmp_path / "long", **long).close()
+    with pytest.raises(StoreError, match=r"controller is \.\.\.'xx+1\.0\)' in the store and \.\.\.'xx+2\.0\)' now"):
+        resume(tmp_path / "long", **longer)
     finer = resume(path, Plan(POINTS, PLAN.seeds, 2), **more)  # how the runs are cut is the store's to say
     assert finer.plan.pieces == PLAN.pieces
     finer.close()

@@ -127,7 +127,7 @@ def monitor(
 ) -> None:
     """Find faults in a recording, print them and write the files.
 
-    First the model, driven by the recorded inputs, is compared with the recording. A `ModelMismatchWarning` states differences.
+    The model, driven by the recorded inputs, is also compared with the recording. A `ModelMismatchWarning` states differences.
 
     With --live, samples come from wires. Alarms are printed as they begin and end, until Ctrl-C, SIGTERM or --duration.
     """
@@ -171,18 +171,20 @@ def monitor(
     samples = loaded.read(recording)
     if out is not None and not (quiet or json):
         output.note_replaced(out / name for name in FILES)
-    mismatch = loaded.compare(samples)
-    if mismatch is not None:
-        warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     monitored = loaded.run(samples)
+    mismatch = loaded.compare(samples, monitored)
+    faults = mismatch is not None and mismatch.kind == "sensors"  # which the tables show
+    if mismatch is not None and not faults:
+        warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
     suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
     if fitted and suspicion and fitted.model.strangers.keys() & set(suspicion.sensors):
         suspicion = None  # a sensor that does not follow the others agrees with everything within its noise
-    doubtful = doubtful_alarms(loaded, monitored) if mismatch or suspicion else ()
+    doubtful = doubtful_alarms(loaded, monitored) if (mismatch and not faults) or suspicion else ()
     numbers = summary(monitored, mismatch, doubtful) | (
         {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
     )
     notes = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
+    notes += [mismatch.sentence] if mismatch is not None and faults else []
     more = turns_note(loaded, samples, model) if fitted is None else fitted.notes
     numbers["notes"] = [*notes, *more]
     if out is not None:
