@@ -427,11 +427,12 @@ def _of_equations(
             )
         x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
         a, b, c, d = model.jacobians(x, u)
-        y, start = model.outputs(x, u), model.x0
+        y, start, states = model.outputs(x, u), model.x0, model.state_names
     _refuse_direct(d[np.ix_(rows, columns)])
     A, B = _sampled(a, b, step)
     following = None if rate is None else x + float(step) * rate
-    return Linearization(A, B[:, columns], c[rows], x, u[columns], y[rows], start, inputs, outputs, step, following)
+    point = x, u[columns], y[rows], start
+    return Linearization(A, B[:, columns], c[rows], *point, inputs, outputs, step, following, states)
 
 
 def _free(actuated: Sequence[str], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:

@@ -18,6 +18,7 @@ from bayesftc.controllers.models import pulse_responses
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.linearization import linearize
 from bayesftc.cosim.errors import ConnectionError, ModelError, StepSizeError, UnknownNameError
+from bayesftc.cosim.fmi.equations import ModelEquations
 from bayesftc.cosim.fmi.running.instance import Instance
 
 
@@ -111,6 +112,8 @@ def test_an_fmu_for_model_exchange_is_known_by_its_equations(casadi_fmu):
     np.testing.assert_allclose(model.matrix("A") @ point + model.matrix("B") @ [9.81 / 2], point, atol=1e-9)
     controller = design(path, measured="y", actuated="u", dt=0.05, at={"u": 9.81 / 2})
     np.testing.assert_allclose(controller.initial_mean, [0.5, 0.0, 1.0])  # where it starts
+    with ModelEquations(cosim.FMU(path)) as equations:
+        assert controller.model.names.states[:2] == equations.state_names
     swings = casadi_fmu("through", lambda q, u: q + 0.5 * u)
     with pytest.raises(ModelError, match="depends directly on an input"):
         LinearModel.from_fmu(swings, measured="y", actuated="u", dt=0.05)
