@@ -484,7 +484,7 @@ def _finding(
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 
 
-@reported("Comparing the samples with the model, for some seconds.")
+@reported("Comparing the samples with the model, for seconds to a minute.")
 @np.errstate(all="ignore")  # of a plant that is lost, or a model that is far off: what is not finite explains nothing
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices this small take several times as long on several threads
 def best_explanations(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.controllers.models.checks import as_number, as_vector
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.ports import without_brackets
 from bayesftc.cosim.types import Floats
@@ -131,6 +132,11 @@ def sensors_of(
     """Return the output that each sensor measures, and the variance of its noise; see `LinearModel.from_fmu`."""
     measured = measured_by(sensors, len(rows))
     of_outputs = np.shape(sensor_std) == (len(rows),)
+    if np.ndim(sensor_std) == 1 and np.shape(sensor_std)[0] not in (len(rows), len(measured)):
+        raise ModelError(
+            f"sensor_std has {len(sensor_std)} numbers for {len(measured)} sensors of {counted(len(rows), 'output')}; give one "  # type: ignore[arg-type]
+            "number, one for each output, or one for each sensor."
+        )
     std = as_vector("sensor_std", sensor_std, len(rows) if of_outputs else len(measured))
     if (std < 0).any():
         raise ModelError(f"sensor_std is {std.tolist()}; standard deviations must not be negative.")

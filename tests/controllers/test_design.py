@@ -660,6 +660,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"measured": ["speed", "angle"]}, ModelError, r'2 goals but only 1 control.* such as goal=\["speed"\]'),
         ({"dt": "soon"}, StepSizeError, "soon"),
         ({"sensor_std": -0.01}, ModelError, "must not be negative"),
+        ({"sensors": 2, "sensor_std": [0.1] * 3}, ModelError, "std has 3 numbers for 2 sensors of 1 output; give one number"),
         ({"sensor_std": 0.0}, ModelError, r"sensor_std is \[0.0\]; a sensor without noise"),
         ({"precision": "fixed"}, ModelError, r"precision is 'fixed'; .* for a Kalman filter, FixedPrecision\(\)"),
         ({"plant": (np.eye(2), np.eye(2))}, ModelError, r"^The plant must be an FMU .*control.ss\(A, B, C, D, dt\), or a Line"),

@@ -258,7 +258,8 @@ class Sensors(Block):
         numbers = reals(value)
         if numbers.shape not in {(), (self.count,)}:
             raise ModelError(
-                f"Sensors has {name}={brief(value)} for {self.count} sensors; give one number, or one for each."
+                f"Sensors has {name}={brief(value)} for {self.count} sensors; give one number, or one for each; with a count for "
+                "each signal, also one for each signal."
             )
         if not np.isfinite(numbers).all() or (not negative and (numbers < 0).any()):
             raise ModelError(
@@ -272,7 +273,8 @@ class Sensors(Block):
         if numbers.shape not in {(), (self.count,)} or not fits.all():
             raise ModelError(
                 f"Sensors has every={brief(self.every)} for {counted(len(self), 'sensor')}; give a whole number of steps from 1 "
-                f"to {MOST_STEPS:,}, or one for each sensor: [1, 10] for a second one with a sample in every tenth step."
+                f"to {MOST_STEPS:,}, or one for each sensor: [1, 10] for a second one with a sample in every tenth step. With "
+                "a count for each signal, also one for each signal."
             )
         steps = numbers.astype(int)
         object.__setattr__(self, "every", tuple(steps.tolist()) if numbers.ndim else int(steps))

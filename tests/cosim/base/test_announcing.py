@@ -94,7 +94,7 @@ def test_the_check_of_a_model_against_a_recording_reports_itself(fresh, caplog, 
     monkeypatch.setattr(announcing, "PATIENCE", 0.0)
     for _ in range(2):
         controllers.diagnose_recording(model, y, u[:, :1])
-    assert caplog.messages == ["Comparing the samples with the model, for some seconds."] * 2
+    assert caplog.messages == ["Comparing the samples with the model, for seconds to a minute."] * 2
 
 
 def test_the_time_left_does_not_count_the_compiler(caplog, monkeypatch):
