@@ -29,6 +29,7 @@ from bayesftc.controllers.models.linearization import (
     linearize,
     refuse_unmoved,
     refuse_unmoving,
+    starts_elsewhere,
 )
 from bayesftc.controllers.models.names import Names, check_by_name, elements_of, names_of, places_of, sensors_of
 from bayesftc.controllers.precision.base import PrecisionLearner
@@ -165,9 +166,9 @@ def design(
         (`LinearModel.about`), or 0 if it has none. For an FMU without accessible states, it is 0.
     initial_spread : number
         Variances of the state at the first sample, as multiples of those of the steady filter's predictions. Give a
-        larger number, such as 1e4, if the plant may move at the start. Also if the plant may start elsewhere than at its start
-        values, unless the learner is the default one, which expects that (``start_doubt`` of `SwitchingPrecision`). Errors of
-        sensors that are states of the model begin with their own variance.
+        larger number, such as 1e4, if the plant may move at the start. With another learner than the default one, give it also if
+        the plant may start elsewhere than at its start values. (The default one expects that: ``start_doubt`` of
+        `SwitchingPrecision`.) Errors of sensors that are states of the model begin with their own variance.
     initial_control : number or vector, optional
         The control before the first step, from which `u_rate` limits the first change; by default that of the operating point.
 
@@ -273,7 +274,9 @@ def design(
     refuse_unstabilisable(model)
     refuse_undetectable(model)
     p = model.controls
-    if isinstance(plant, FMU) and at is None:
+    # A model by responses may be about a steady state far from the start, where the plant responds otherwise: it has its warning.
+    elsewhere = isinstance(plant, FMU) and plant.description.exchange is None and starts_elsewhere(linear)
+    if isinstance(plant, FMU) and at is None and not elsewhere:
         with reported("Comparing the linear model with the plant, for some seconds."):
             compare_with_plant(model, plant, control=driven, measured=sensed, at=mean, u_min=u_min, u_max=u_max)
     model, H = _with_biases(model, H, as_vector("sensor_bias", sensor_bias, model.sensors))

@@ -25,7 +25,7 @@ NOTHING = 1e-20
 """Largest gain, relative to the largest one, that is printed as 0."""
 
 AWAY, MOST_NAMED = 1e-9, 6
-"""States below this share of the largest one count as 0 at an operating point; and so many others at most are named there."""
+"""States below this share of the largest one, or of 1, count as 0 at an operating point; so many others at most are named."""
 
 DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 """Two dampings of undamped modes, and the relative difference up to which a standard deviation does not depend on them."""
@@ -46,7 +46,11 @@ def _about(model: LinearModel) -> str:
     at = "" if u is None else f" at which the control is {_numbers(np.atleast_1d(np.asarray(u, dtype=np.float64)))}"
     x = np.asarray(model.operating_state if model.operating_state is not None else (), dtype=np.float64)
     names = model.names.states if model.names else ()
-    away = [f"{n} = {value:.4g}" for n, value in zip(names, x, strict=False) if abs(value) > AWAY * np.abs(x).max()]
+    away = [
+        f"{n} = {value:.4g}"
+        for n, value in zip(names, x, strict=False)
+        if abs(value) > AWAY * max(1.0, np.abs(x).max())
+    ]
     away[MOST_NAMED:] = ["..."] * (len(away) > MOST_NAMED)
     where = f" and {', '.join(away)}" if away else ""
     return f", about an operating point{at}{where}"

@@ -17,9 +17,11 @@ from bayesftc.controllers.precision.rate import Calibration, RateLearner
 from bayesftc.controllers.registry import LEARNERS
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.numbers import reals, short
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
-from bayesftc.cosim.errors import ModelError, brief
-from bayesftc.cosim.judging.metrics import NAN
+from bayesftc.cosim.diagram.wiring import find_controller
+from bayesftc.cosim.errors import ModelError, SimulationError, brief
+from bayesftc.cosim.judging.metrics import LIMITED, NAN
 from bayesftc.cosim.judging.probabilities import Reliability, reliability
 
 if TYPE_CHECKING:
@@ -160,7 +162,8 @@ def calibrate(
     feature : {"log", "linear"}
         Whether the map is linear in log(beta) or in beta.
     steps : int
-        Length of the simulated run in steps.
+        Length of the simulated run in steps. An estimated load (`LinearModel.with_disturbance`) does not move in it if the
+        control has limits: a random walk would leave them.
     seed : int
         Seed of noise and faults.
     **controller : Any
@@ -314,7 +317,16 @@ def _simulated(
     # The plant's outputs are all its states, of which the sensors may leave some out.
     with reported(f"Simulating {steps} steps with random faults."), noted_elsewhere():
         loop = _loop(model, hazards, sizes, learner, reference, controller)
-        result = loop.simulate(steps * model.step, seed=seed, record=record)
+        try:
+            result = loop.simulate(steps * model.step, seed=seed, record=[*record, "controller.u"])
+        except SimulationError as error:
+            lasted = "" if error.result is None else f" after {error.result.time[-1]:.6g} s"
+            raise ModelError(
+                f"calibrate simulates the model of the controller with random faults, and the simulated plant ran away{lasted}: "
+                "the controller does not hold it with such faults and limits. Give smaller faults "
+                "(magnitudes), wider limits, or a calmer model."
+            ) from None
+    _warn_if_lost(np.asarray(result["controller.u"]), find_controller(loop).block)
     faulty = np.column_stack([result[name] for name in record[1:]])[SKIPPED:] > 0.5
     return result[record[0]][SKIPPED:], faulty
 
@@ -366,6 +378,38 @@ def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:
             )
 
 
+def _process_noise(model: LinearModel, controller: Any) -> Floats:
+    """Return the process noise of the simulated plant: of a control with limits, an estimated load does not move.
+
+    A load is a random walk, which in so many steps would leave any limits, and an unstable plant would be lost.
+    """
+    noise = model.matrix("process_covariance").copy()
+    limits = np.concatenate(
+        [np.ravel(getattr(controller, name)) for name in ("u_min", "u_max") if hasattr(controller, name)]
+    )
+    if np.isfinite(limits).any():
+        first, last = model.states - model.disturbances, model.states - model.constant
+        loads = first + np.flatnonzero(model.matrix("A")[:first, first:last].any(axis=0))
+        noise[loads], noise[:, loads] = 0.0, 0.0
+    return noise
+
+
+def _warn_if_lost(controls: Floats, controller: Any) -> None:
+    """Warn if the control of a simulated run is at its limits for long: the plant is then hardly held."""
+    low, high = (
+        np.broadcast_to(np.asarray(getattr(controller, name, inf)), controls.shape[1:]) for name, inf in _NO_LIMITS
+    )
+    share = float(((controls <= low) | (controls >= high)).mean(axis=0).max(initial=0.0))
+    if share >= LIMITED:
+        warn_user(
+            f"In the simulated run a control is at its limits for {share:.0%} of the time, so the plant is hardly held, and its "
+            "figures say little of the learner. Give wider limits (u_min, u_max), a smaller reference, or a calmer model."
+        )
+
+
+_NO_LIMITS = (("u_min", -np.inf), ("u_max", np.inf))
+
+
 def _loop(
     model: LinearModel,
     hazards: tuple[float, float],
@@ -388,7 +432,7 @@ def _loop(
     inputs, outputs = tuple(f"u{i}" for i in range(p)), tuple(f"x{i}" for i in range(n))
     A, B, C, D = map(as_rows, (model.matrix("A"), model.matrix("B"), np.eye(n), np.zeros((n, p))))
     system = LinearSystem(A, B, C, D, float(model.step), inputs, outputs)  # python-control takes a second to import
-    plant = cosim.StateSpace(system, process_noise=model.matrix("process_covariance"), initial=controller.initial_mean)
+    plant = cosim.StateSpace(system, process_noise=_process_noise(model, controller), initial=controller.initial_mean)
     if reference is None:
         amplitudes = _default_amplitudes(model, controller.goal_matrix[:, :n])
         reference = [cosim.Sine(amplitude=each, period=float(400 * model.step)) for each in amplitudes]

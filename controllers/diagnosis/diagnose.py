@@ -351,12 +351,15 @@ def _without_blamed(
 def _trusted(model: LinearModel, samples: Floats, blamed: NDArray[np.bool_]) -> Floats | None:
     """Return the samples that the controller does not blame; None if the sensors that are left cannot be compared with the model.
 
-    A sensor that is blamed for most of the run is left out of all of it, because a few samples would leave its set no evidence.
+    A sensor that is blamed for most of the run is left out of all of it, because a few samples would leave its set no evidence;
+    but not if the others do not see the plant.
     """
     bank = observers(model)
-    gone = np.flatnonzero(blamed.mean(axis=0) > MOSTLY).tolist()
-    if bank is None or observers(model, _sets_without(bank.sensors, gone)) is None:
+    if bank is None:
         return None
+    gone = np.flatnonzero(blamed.mean(axis=0) > MOSTLY).tolist()
+    if observers(model, _sets_without(bank.sensors, gone)) is None:
+        gone = []
     return np.where(blamed | np.isin(np.arange(blamed.shape[1]), gone), np.nan, samples)
 
 

@@ -388,16 +388,22 @@ def _of_fmu(
         linear = _of_equations(fmu, u, columns, rows, names, measured, step, _free(actuated, into, at))
         return replace(linear, held=_held(into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
-    off = np.abs(realisation.C @ realisation.start) > _STEADY * np.maximum(np.abs(realisation.y), 1.0)
-    if realisation.waited and off.any() and not at:
+    point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
+    matrices = realisation.A, realisation.B, realisation.C
+    linear = Linearization(*matrices, *point, names, measured, step, held=_held(into, at))
+    if realisation.waited and starts_elsewhere(linear) and not at:
         warn_user(
             f"The plant {fmu.default_name!r} is not steady at its start. It ran {show(realisation.waited)} s with its "
             "inputs at their start values, and the model is about the steady state that it reached, with "
             f"{_point(measured, realisation.y)}. For another operating point give start values or inputs (at=...)."
         )
-    point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
-    matrices = realisation.A, realisation.B, realisation.C
-    return Linearization(*matrices, *point, names, measured, step, held=_held(into, at))
+    return linear
+
+
+def starts_elsewhere(linear: Linearization) -> bool:
+    """Return whether the plant starts so far from the operating point that its outputs are others."""
+    off = np.abs(linear.C @ (linear.start - linear.x)) > _STEADY * np.maximum(np.abs(linear.y), 1.0)
+    return bool(off.any())
 
 
 def _point(names: Sequence[str], values: Floats) -> str:

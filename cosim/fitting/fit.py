@@ -208,6 +208,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     rms, rest = (_rms(counted[part], columns) for part in (slice(split), slice(split, None)))
     present = np.isfinite(samples.y)
     found_sentences = [
+        *sentences.not_followed(columns, samples.y, found.outputs[:, samples.output_of], present),
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),

@@ -17,6 +17,9 @@ UNKNOWN = 12**-0.5
 LEFT_OUT = 0.01
 """Share of a sensor's samples from which on a sentence states that they do not count."""
 
+LOST = 3.0
+"""Error of an output, relative to the motion of its samples, from which on the FMU does not follow them at all."""
+
 WORSE = 1.5
 """Ratio of the error in the held-out part to that in the fitted part from which on there is a sentence."""
 
@@ -138,6 +141,21 @@ def left_out(
                 + " A single sensor does not show whether it or the FMU is wrong: see the figure."
                 * alone[i]
             )
+
+
+def not_followed(columns: Sequence[str], measured: Floats, fitted: Floats, present: Flags) -> Iterator[str]:
+    """Give a sentence if outputs of the FMU are further from the samples than these from their mean, as of an unstable plant."""
+    lost = []
+    for i, column in enumerate(columns):
+        y, apart = measured[present[:, i], i], (fitted - measured)[present[:, i], i]
+        if len(y) and np.sqrt(np.mean(apart**2)) > LOST * np.std(y) > 0.0:
+            lost.append(f"{column} ({np.sqrt(np.mean(apart**2)):.3g} beside a motion of {np.std(y):.3g})")
+    if lost:
+        yield (
+            f"The FMU does not follow the recording: its error is far larger than the motion in {', '.join(lost)}. Do not use "
+            "these parameters. If the plant is unstable and was recorded under a controller, the FMU runs away, because the "
+            "recorded inputs alone drive it: identify a linear model instead (LinearModel.identify), or fit a short stretch."
+        )
 
 
 def held_out_worse(rms: Mapping[str, float], held_out: Mapping[str, float]) -> Iterator[str]:

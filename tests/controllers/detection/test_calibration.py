@@ -1,10 +1,16 @@
 """The logistic map from beta to a probability: fitted on one part of a run, honest on runs it has never seen."""
 
+import control
 import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.detection.calibration import _default_amplitudes, judge, simulated_sizes
+from bayesftc.controllers.detection.calibration import (
+    _default_amplitudes,
+    judge,
+    judge_own_probability,
+    simulated_sizes,
+)
 from bayesftc.cosim.errors import ModelError
 
 MODEL = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 0.001, 1.0, 0.02)
@@ -183,3 +189,51 @@ def test_an_unstable_loop_is_refused():
     servo = controllers.LinearModel([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], [[1.0, 0.0]], 1e-4, 1e-2, 0.1)
     with pytest.raises(ModelError, match="cannot simulate this loop"):
         controllers.calibrate(servo, goal_covariance=1e-4)
+
+
+def leaning(**limits):
+    """A plant that falls unless it is held, with an estimated load."""
+    falling = control.ss(
+        [[0.0, 1.0], [9.0, -0.5]], [[0.0], [1.0]], np.eye(2), 0, inputs=["u"], outputs=["angle", "rate"]
+    )
+    return controllers.design(
+        falling,
+        dt=0.01,
+        goal="angle",
+        sensors=[2, 2],
+        sensor_std=[0.01, 0.02],
+        disturbance=True,
+        acceptable_control=5.0,
+        **limits,
+    )
+
+
+def test_an_estimated_load_does_not_walk_beyond_the_limits():
+    """The load walked for 400 s, an unstable plant was lost, and the learner was called unreliable."""
+    report = judge_controller(leaning(u_min=-5.0, u_max=5.0))
+    assert report.auc > 0.85
+    assert report.brier < 0.7 * report.brier_of_constant
+
+
+def test_a_plant_that_its_limits_do_not_hold_is_said():
+    weak = leaning(u_min=-0.1, u_max=0.1)
+    with pytest.warns(
+        UserWarning, match="a control is at its limits for 100% of the time, so the plant is hardly held"
+    ):
+        judge_controller(weak)
+    with pytest.raises(ModelError, match=r"the simulated plant ran away after \d+.*: the controller does not hold it"):
+        judge_controller(weak, steps=60_000)
+
+
+def judge_controller(controller, steps=20_000):
+    names = ("goal_covariance", "control_covariance", "initial_covariance", "u_min", "u_max")
+    settings = {name: getattr(controller, name) for name in names}
+    return judge_own_probability(
+        controller.model,
+        controllers.Hazards(2.8, 0.4),
+        precision=controller.precision,
+        steps=steps,
+        kind=controllers.LQGController,
+        goal_on=controller.goal_matrix,
+        **settings,
+    )

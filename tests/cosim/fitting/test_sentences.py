@@ -30,3 +30,14 @@ def test_the_longest_stretch_has_no_samples_from_which_the_fmu_has_not_recovered
 
 def test_a_stretch_begins_and_ends_with_a_faulty_sample_and_may_lack_some():
     assert "from 300 to 499 s." in left_out([(300, 400), (420, 500)], missing=[(280, 300), (400, 420), (500, 600)])
+
+
+def test_an_fmu_that_runs_away_does_not_follow():
+    """An unstable plant was recorded under a controller: parameters at their bounds were to get a wider range."""
+    t, rng = np.arange(STEPS) / 50.0, np.random.default_rng(0)
+    y = 0.05 * np.sin(t)[:, np.newaxis] + 0.005 * rng.standard_normal((STEPS, 2))
+    away = np.column_stack([0.05 * np.sin(t), np.minimum(0.001 * np.exp(t), 3.0)])
+    (sentence,) = sentences.not_followed(("a", "b"), y, away, np.ones_like(y, dtype=bool))
+    assert "far larger than the motion in b (" in sentence
+    assert "identify a linear model instead" in sentence
+    assert not list(sentences.not_followed(("a",), y, away, np.ones_like(y, dtype=bool)))
