@@ -354,7 +354,9 @@ def _remedy(role: str, of_model: Sequence[str], of_loop: Sequence[str]) -> str:
         return f"Give {role}={signals}"
     each = [of_model.count(name) for name in signals]
     grouped = [name for name, count in zip(signals, each, strict=True) for _ in range(count)]
-    return f"Give sensors=Sensors(count={each if list(of_model) == grouped else len(of_model)}, ...)"
+    if list(of_model) == grouped:
+        return f"Give sensors=Sensors(count={each}, ...)"
+    return f"Give sensors=Sensors(count={len(of_model)}, ...), a single number, with which the sensors read the signals in turn"
 
 
 def warn_of_held_inputs(diagram: Diagram, plant: Node, controller: Node) -> None:

@@ -331,7 +331,9 @@ def test_other_numbers_of_sensors_than_those_of_the_model_are_named(designed, gi
         )  # fmt: skip
     said = [str(each.message) for each in caught]
     assert len(said) == (remedy is not None)
-    assert all(f"Give sensors=Sensors(count={remedy}, ...), or design" in each for each in said)
+    assert all(
+        f"Give sensors=Sensors(count={remedy}, ...)" in each and "or design the controller" in each for each in said
+    )
 
 
 @pytest.mark.parametrize(
