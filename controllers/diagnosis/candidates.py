@@ -77,6 +77,9 @@ ROUNDING = 1e-18
 NEARLY = 5.0
 """Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
 
+AT_ONCE = 16
+"""Number of models that are judged at once where sensors are slow, for memory."""
+
 EFFECT = {"sign", "gain"}
 """One kind in two words: the effect of a control."""
 
@@ -330,6 +333,9 @@ def _by_models(
 
     `recording` is the judge's, by default itself, with the belief before the first sample of these models.
     """
+    if judge.recording.presence is not None and len(possible) > AT_ONCE:  # each has its own gains along the recording
+        parts = (possible[k : k + AT_ONCE] for k in range(0, len(possible), AT_ONCE))
+        return [found for part in parts for found in _by_models(judge, kind, part, recording)]
     if not possible:
         return []
     models, banks = [model for *_, model, _ in possible], [bank for *_, bank in possible]

@@ -33,7 +33,7 @@ from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.scatter import stated_too_large
-from bayesftc.controllers.diagnosis.slow_sensors import pattern_of
+from bayesftc.controllers.diagnosis.slow_sensors import presence_of
 from bayesftc.controllers.diagnosis.starts import wrong_start
 from bayesftc.controllers.diagnosis.words import faulty_sensors, inferred_fault, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
@@ -507,7 +507,7 @@ def best_explanations(
         samples[:last],
         np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:last]).clip(-LARGEST, LARGEST),
         np.array(np.broadcast_to(np.asarray(initial_mean, float), model.states)),
-        pattern=pattern_of(samples[:last], sorted({i for chosen in bank.sensors for i in chosen})),
+        presence=presence_of(samples[:last], sorted({i for chosen in bank.sensors for i in chosen})),
     )
     moved = recording.u @ model.matrix("B").T
     base = innovations([model], [bank], recording, moved[None, None])[0][0][:, 0]

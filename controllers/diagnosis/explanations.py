@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.controllers.diagnosis.slow_sensors import SampleFilter
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from bayesftc.controllers.diagnosis.slow_sensors import Pattern, PatternFilter
+    from bayesftc.controllers.diagnosis.slow_sensors import Presence
     from bayesftc.controllers.estimation.observers import Observers
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
@@ -35,15 +37,15 @@ class Recording:
         Belief before the first sample.
     begins : tuple of int
         Samples before which the state is unknown: the first one, and those after a stretch that is left out.
-    pattern : Pattern or None
-        The pattern of the samples if some sensors are slow; at least as long as the recording.
+    presence : Presence or None
+        Which samples are there if some sensors are slow; at least as long as the recording.
     """
 
     y: Floats
     u: Floats
     mean: Floats
     begins: tuple[int, ...] = (0,)
-    pattern: Pattern | None = None
+    presence: Presence | None = None
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""
@@ -74,8 +76,8 @@ def innovations(
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
-    each, n, given, pattern = len(banks[0]), moved.shape[3], moved.shape[1], recording.pattern
-    filters: Sequence[Observers | PatternFilter] = banks if pattern is None else pattern.of(banks)
+    each, n, given, presence = len(banks[0]), moved.shape[3], moved.shape[1], recording.presence
+    filters: Sequence[Observers | SampleFilter] = banks if presence is None else presence.filters(banks)
     gains, whiten = (np.concatenate([getattr(s, name) for s in filters]) for name in ("gain", "whiten"))
     A, C = (np.repeat([model.matrix(name) for model in models], each, axis=0) for name in "AC")
     unknown = n - models[0].constant
@@ -85,10 +87,10 @@ def innovations(
     predicted = np.empty((each, samples, n))
     for i, (begin, end) in enumerate(zip(recording.begins, (*recording.begins[1:], samples), strict=True)):
         pushes = moved[:, :, begin:end].transpose(2, 0, 3, 1)
-        phase = None if pattern is None else pattern.phase[begin:end]
-        e, z = _steps((A, C, gains), phase, recording.y[begin:end], np.repeat(pushes, each, axis=1), start)
+        index = filters[0].index[begin:end] if isinstance(filters[0], SampleFilter) else None
+        e, z = _steps((A, C, gains), index, recording.y[begin:end], np.repeat(pushes, each, axis=1), start)
         for of, its in zip(whiten, e, strict=True):
-            np.matmul(of if phase is None else of[phase], its, out=its)
+            np.matmul(of if index is None else of[index], its, out=its)
         whitened = e.transpose(0, 3, 1, 2)
         errors = given + unknown * i
         white[:, :given, begin:end] = whitened[:, :given]
@@ -99,14 +101,14 @@ def innovations(
 
 def _steps(
     observers: tuple[Floats, Floats, Floats],
-    phase: NDArray[np.intp] | None,
+    index: NDArray[np.intp] | None,
     y: Floats,
     pushes: Floats,
     start: Floats,
 ) -> tuple[Floats, Floats]:
     """Return the innovations of N observers (N x T x m x columns), and the states that they predict in the first column.
 
-    A, C and gain of the observers are given, the gain for each of some phases if `phase` has that of each sample. Their states
+    A, C and gain of the observers are given, or several gains, of which `index` has the number at each sample. Their states
     begin in the columns of `start`. The first ones have the samples and `pushes` (T x N x n x H) as inputs, the others none.
 
     A loop over all samples would take most of the time of a diagnosis. The samples are therefore cut into blocks, about as many
@@ -114,13 +116,13 @@ def _steps(
     real starts follow, block by block.
     """
     A, C = (matrix[:, np.newaxis] for matrix in observers[:2])
-    gain = observers[2] if phase is not None else observers[2][:, np.newaxis]
+    gain = observers[2] if index is not None else observers[2][:, np.newaxis]
     N, n, m, given, samples = len(A), A.shape[-1], C.shape[-2], pushes.shape[-1], len(y)
     size = int(np.ceil(np.sqrt(samples)))
     blocks = -(-samples // size)
     padding = ((0, size * blocks - samples),)
-    if phase is not None:
-        phase = np.pad(phase, padding).reshape(blocks, size)
+    if index is not None:
+        index = np.pad(index, padding).reshape(blocks, size)
     y = np.pad(y, (*padding, (0, 0)), constant_values=np.nan).reshape(blocks, size, m, 1)
     present = np.isfinite(y)
     y = np.where(present, y, 0.0)
@@ -136,7 +138,7 @@ def _steps(
             np.matmul(-C, z, out=e[i])
             e[i, ..., :given] += y[:, i]
             e[i] *= present[:, i]
-            z = A @ z + (gain if phase is None else gain[:, phase[:, i]]) @ e[i]
+            z = A @ z + (gain if index is None else gain[:, index[:, i]]) @ e[i]
             z[..., :given] += pushes[:, i].swapaxes(0, 1)
         starts = np.empty((N, blocks, *start.shape))  # relative to the guess
         starts[:, 0] = start

@@ -95,7 +95,7 @@ class Judge:
         present: NDArray[np.bool_] = np.isfinite(recording.y)
         of_sets = [present[:, list(chosen)] for chosen in bank.sensors]
         # Without slow sensors, a step at which one of a set is missing does not count: the filter expects all of them.
-        self.masks = of_sets if recording.pattern else [x & x.all(axis=1, keepdims=True) for x in of_sets]
+        self.masks = of_sets if recording.presence else [x & x.all(axis=1, keepdims=True) for x in of_sets]
         self.rows = [int(mask.any(axis=1).sum()) for mask in self.masks]
         self.begin = self.beginnings(white)
         self.first, self.first_squares = self.cost(self.base, bank, self.begin)
@@ -106,7 +106,7 @@ class Judge:
         # np.take copies in the order of the result, so that reshape need not copy once more.
         if mask.all():
             return np.take(white[k], chosen, axis=2).reshape(len(white[k]), -1)
-        if self.recording.pattern is None:
+        if self.recording.presence is None:
             return np.take(white[k][:, mask[:, 0]], chosen, axis=2).reshape(len(white[k]), -1)
         return np.take(white[k], chosen, axis=2)[:, mask]
 
@@ -144,11 +144,12 @@ class Judge:
 
     def _weights(self, bank: Observers, k: int) -> float:
         """Return the sum of the logarithms by which the innovations of one set that count are weighted."""
-        chosen, pattern = list(bank.sensors[k]), self.recording.pattern
-        if pattern is None:
+        chosen, presence = list(bank.sensors[k]), self.recording.presence
+        if presence is None:
             return float(np.log(np.diag(bank.whiten[k])[chosen]).sum() * self.rows[k])
-        weights = np.diagonal(pattern.of([bank])[0].whiten[k], axis1=1, axis2=2)[:, chosen]
-        return float(np.log(weights[pattern.phase[: len(self.masks[k])]][self.masks[k]]).sum())
+        filters = presence.of(bank)
+        weights = np.diagonal(filters.whiten[k], axis1=1, axis2=2)[:, chosen]
+        return float(np.log(weights[filters.index[: len(self.masks[k])]][self.masks[k]]).sum())
 
     def of(
         self, kind: str, values: list[tuple[float, ...]], costs: tuple[Floats, Floats], parameters: int = 1
@@ -208,7 +209,7 @@ class Judge:
             y=np.where(np.isfinite(self.recording.y) | whole, readings, np.nan),
             mean=np.zeros_like(self.recording.mean),
             begins=(0,) if whole else self.recording.begins,
-            pattern=None if whole else self.recording.pattern,
+            presence=None if whole else self.recording.presence,
         )
         (white,), _ = innovations([self.model], [self.bank], silent, pushes[None])
         return np.asarray(white[:, : len(pushes)])

@@ -1,8 +1,8 @@
 """Observers of sensors with samples at different rates: which gain and which covariance they have at which step.
 
 The steady filter of a set expects a sample of every sensor in each step. If a sensor is slow, its innovation has the process
-noise of several steps, and with the steady gain it is not white: the plant would seem to move more than its model. The filter of
-a pattern of samples has its own gain at each phase of the pattern.
+noise of several steps, and with the steady gain it is not white: the plant would seem to move more than its model. The filters
+here are the Kalman filters of the samples that are there.
 """
 
 from __future__ import annotations
@@ -19,103 +19,122 @@ if TYPE_CHECKING:
     from bayesftc.controllers.estimation.observers import Observers
     from bayesftc.cosim.types import Floats
 
-LONGEST_AGE = 2
-"""Ages of a sensor's last sample count up to this multiple of its usual distance between samples; all older ones are one."""
-
-LEAST_STEPS, MOST_STEPS = 600, 2_000
-"""Steps within which the filters settle on a pattern of samples, and steps in which rare phases are looked for."""
+SAME = 1e-9
+"""Covariances that differ by less, relative to their variances, are the same: of a regular pattern few are different."""
 
 
 @dataclass(frozen=True, eq=False)
-class PatternFilter:
-    """The filters of K sets of sensors at each of U phases: gains (K x U x n x m) and whitening (K x U x m x m)."""
+class SampleFilter:
+    """The filters of K sets of sensors: their different gains (K x U x n x m) and whitening (K x U x m x m).
+
+    ``index`` (T) has the number of those at each step.
+    """
 
     gain: Floats
     whiten: Floats
+    index: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
-class Pattern:
-    """The pattern of a recording's samples: steps of one phase have the same sensors present, and last samples of the same ages.
+class Presence:
+    """Which samples of a recording are there (T x m), and the filters of the latest models for them."""
 
-    Attributes
-    ----------
-    phase : ndarray of int, shape (T,)
-        Number of each step's phase.
-    present : ndarray of bool, shape (T, m)
-        Which sensors have a sample.
-    filters : dict of Observers to PatternFilter
-        The filters that have been computed.
-    """
-
-    phase: NDArray[np.intp]
     present: NDArray[np.bool_]
-    filters: dict[Observers, PatternFilter] = field(default_factory=dict, repr=False)
+    alone: dict[Observers, SampleFilter] = field(default_factory=dict, repr=False)
+    together: dict[Observers, SampleFilter] = field(default_factory=dict, repr=False)
 
-    def of(self, banks: Sequence[Observers]) -> list[PatternFilter]:
-        """Return the filters of several models' observers with the same sets."""
-        if new := [bank for bank in banks if bank not in self.filters]:
-            self.filters.update(zip(new, _settled(new, self), strict=True))
-        return [self.filters[bank] for bank in banks]
+    def filters(self, banks: Sequence[Observers]) -> list[SampleFilter]:
+        """Return the filters of several models' observers with the same sets; those of one are kept, of many the latest."""
+        kept = self.alone if len(banks) == 1 else self.together
+        if len(banks) > 1 or banks[0] not in self.alone:
+            if len(banks) > 1:
+                self.together.clear()
+            kept.update(zip(banks, _filters(banks, self.present), strict=True))
+        return [kept[bank] for bank in banks]
+
+    def of(self, bank: Observers) -> SampleFilter:
+        """Return the filters of one model's observers."""
+        return self.together[bank] if bank in self.together else self.filters([bank])[0]
 
 
-def pattern_of(y: Floats, sensors: Sequence[int]) -> Pattern | None:
-    """Return the pattern of samples (T x m); None if none of these sensors is slow: most have a sample in each step."""
+def presence_of(y: Floats, sensors: Sequence[int]) -> Presence | None:
+    """Return which samples (T x m) are there if one of these sensors is slow; None if they have samples in most steps."""
     present = np.isfinite(y)
     distances = [np.diff(np.flatnonzero(present[:, i])) for i in sensors]
-    usual = [int(np.median(d)) if len(d) else 1 for d in distances]
-    if max(usual, default=1) == 1:
-        return None
-    steps, parts = np.arange(len(y)), [present[:, list(sensors)]]
-    for i, distance in zip(sensors, usual, strict=True):
-        last = np.maximum.accumulate(np.where(present[:, i], steps, -len(y)))
-        before = np.concatenate([[-len(y)], last[:-1]])
-        parts.append(np.minimum(steps - before, LONGEST_AGE * distance)[:, np.newaxis])
-    phase = np.unique(np.hstack([part.astype(np.intp) for part in parts]), axis=0, return_inverse=True)[1]
-    return Pattern(np.ravel(phase), present)
+    return Presence(present) if any(len(d) and np.median(d) > 1 for d in distances) else None
 
 
-def _settled(banks: Sequence[Observers], pattern: Pattern) -> list[PatternFilter]:
-    """Return the filters of several models' observers, as they are once they have settled on a pattern of samples."""
+def _filters(banks: Sequence[Observers], present: NDArray[np.bool_]) -> list[SampleFilter]:
+    """Return the filters of several models' observers along a recording."""
     each = len(banks[0])
-    gains, whitening = (np.concatenate([getattr(bank, name) for bank in banks]) for name in ("gain", "whiten"))
-    phases = int(pattern.phase.max()) + 1
-    gain, whiten = (np.repeat(steady[:, np.newaxis], phases, axis=1) for steady in (gains, whitening))
-    A, C, R = (
-        np.repeat([np.asarray(of(bank)) for bank in banks], each, axis=0)
-        for of in (
-            lambda bank: bank.transition,
-            lambda bank: bank.model.matrix("C"),
-            lambda bank: bank.model.matrix("sensor_covariance"),
-        )
-    )
-    forward = np.repeat([bank.model.matrix("A") for bank in banks], each, axis=0)
+
+    def of_all(matrices: Sequence[Floats]) -> Floats:
+        return np.repeat(matrices, each, axis=0)
+
+    A, forward = of_all([bank.transition for bank in banks]), of_all([bank.model.matrix("A") for bank in banks])
+    C, R = (of_all([bank.model.matrix(name) for bank in banks]) for name in ("C", "sensor_covariance"))
     Q, P = (np.concatenate([getattr(bank, name) for bank in banks]) for name in ("noise", "covariance"))
     chosen = np.zeros((len(P), C.shape[1]))
     for row, sensors in zip(chosen, [sensors for bank in banks for sensors in bank.sensors], strict=True):
         row[list(sensors)] = 1.0
-    unseen = set(range(phases))
-    for k in range(min(len(pattern.present), MOST_STEPS)):
-        if k >= LEAST_STEPS and not unseen:
-            break
-        there = chosen * pattern.present[k]
-        seen = there[:, :, np.newaxis] * C
-        noise = R * there[:, :, np.newaxis] * there[:, np.newaxis]
-        noise[:, range(len(there.T)), range(len(there.T))] += 1.0 - there
-        try:
-            root = np.linalg.cholesky(seen @ P @ seen.swapaxes(1, 2) + noise)
-        except (
-            np.linalg.LinAlgError
-        ):  # of a model so far off that the covariance is lost in rounding: as with all samples
-            break
-        inverse = np.linalg.inv(root)
-        scaled = inverse @ (seen @ P)
-        phase = pattern.phase[k]
-        whiten[:, phase] = inverse * there[:, :, np.newaxis] * there[:, np.newaxis]
-        gain[:, phase] = forward @ scaled.swapaxes(1, 2) @ inverse
-        P = A @ (P - scaled.swapaxes(1, 2) @ scaled) @ A.swapaxes(1, 2) + Q
-        P = (P + P.swapaxes(1, 2)) / 2.0
-        unseen.discard(phase)
-    return [
-        PatternFilter(gain[first : first + each], whiten[first : first + each]) for first in range(0, len(gain), each)
-    ]
+    gains: list[Floats] = []
+    whitening: list[Floats] = []
+    index = np.empty(len(present), dtype=np.intp)
+    covariances, after = (
+        [P],
+        dict[tuple[int, bytes], tuple[int, int]](),
+    )  # node and samples: number of the gain, next node
+    node, ages, at_ages = 0, np.zeros(present.shape[1], dtype=np.intp), dict[bytes, int]()
+    for k, there in enumerate(present):
+        ages = np.where(there, 0, ages + 1)
+        if (key := (node, there.tobytes())) not in after:
+            gain, white, P = _step(A, forward, C, Q, R, covariances[node], chosen * there)
+            gains.append(gain)
+            whitening.append(white)
+            following = at_ages.get(ages.tobytes())
+            if following is None or not _same(P, covariances[following]):
+                following = at_ages[ages.tobytes()] = len(covariances)
+                covariances.append(P)
+            after[key] = len(gains) - 1, following
+        index[k], node = after[key]
+    gain, whiten = np.stack(gains, axis=1), np.stack(whitening, axis=1)
+    return [SampleFilter(gain[i : i + each], whiten[i : i + each], index) for i in range(0, len(gain), each)]
+
+
+def _step(
+    A: Floats, forward: Floats, C: Floats, Q: Floats, R: Floats, P: Floats, there: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return gains, whitening and next covariances of N filters, of which `there` (N x m) has the sensors with a sample.
+
+    A filter whose covariance is lost in rounding has NaN from then on.
+    """
+    seen = there[:, :, np.newaxis] * C
+    noise = R * there[:, :, np.newaxis] * there[:, np.newaxis]
+    places = np.arange(there.shape[1])
+    noise[:, places, places] += 1.0 - there
+    root = _roots(seen @ P @ seen.swapaxes(1, 2) + noise)
+    inverse = np.linalg.inv(root)
+    scaled = inverse @ (seen @ P)
+    whiten = inverse * there[:, :, np.newaxis] * there[:, np.newaxis]
+    P = A @ (P - scaled.swapaxes(1, 2) @ scaled) @ A.swapaxes(1, 2) + Q
+    return forward @ scaled.swapaxes(1, 2) @ inverse, whiten, (P + P.swapaxes(1, 2)) / 2.0
+
+
+def _roots(S: Floats) -> Floats:
+    """Return the Cholesky factors of N matrices; NaN of those without one."""
+    try:
+        return np.asarray(np.linalg.cholesky(S), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        roots: Floats = np.full(S.shape, np.nan)
+        for i, each in enumerate(S):
+            try:
+                roots[i] = np.linalg.cholesky(each)
+            except np.linalg.LinAlgError:
+                continue
+        return roots
+
+
+def _same(P: Floats, other: Floats) -> bool:
+    size = np.sqrt(np.abs(np.diagonal(P, axis1=1, axis2=2))) + 1e-300
+    apart = np.abs(P - other) / (size[:, :, np.newaxis] * size[:, np.newaxis])
+    return bool((np.nan_to_num(apart) <= SAME).all())
