@@ -38,7 +38,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.warnings_shown import warn_user
-from bayesftc.cosim.blocks.linear_system import is_system
+from bayesftc.cosim.blocks.linear_system import LinearSystem, is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.fmu import FMU
@@ -102,8 +102,9 @@ def design(
         `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default, of a system of
-        python-control, all outputs, and all inputs without `noise`, or the only input. Of an FMU there is a default
-        only if it has a single output or input. Leave them out for a `LinearModel` or an `Identification`, which contains them.
+        python-control, all outputs, and all inputs without `noise`, or the only input. Of an FMU there is a default only if it
+        has a single output, or a single input without `noise`. Leave them out for a `LinearModel` or an `Identification`, which
+        contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
@@ -242,14 +243,14 @@ def design(
         as_number("initial_spread", initial_spread, least=0)
         sensors_of(places_of(sensed, out, "output"), sensors, sensor_std)
         with reported("Linearizing the plant, for some seconds."):
-            linear = _within_limits(
-                lambda at: linearize(
+
+            def about(at: Mapping[str, Any]) -> Linearization:
+                return linearize(
                     plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
-                ),
-                at or {},
-                driven,
-                (u_min, u_max),
-            )
+                )
+
+            everywhere = isinstance(plant, StateSpace) and isinstance(plant.system, LinearSystem)
+            linear = about(at or {}) if everywhere else _within_limits(about, at or {}, driven, (u_min, u_max))
         refuse_unmoved(linear, driven)
         refuse_unmoving(linear, sensed)
         if noise is None:
@@ -435,27 +436,31 @@ def _within_limits(
     ModelMismatchWarning
         If no steady state within the limits was found.
     """
-    linear = linearization(at)
-    columns, given = linear.columns(driven), dict(linear.held)
+    first = linear = linearization(at)
+    columns, given, fixed, texts = first.columns(driven), dict(first.held), dict[str, float](), list[str]()
     low, high = (
         as_vector(name, of, len(columns), finite=False) for name, of in zip(("u_min", "u_max"), limits, strict=True)
     )
-    nearest = {linear.inputs[j]: float(np.clip(linear.u[j], a, b)) for j, a, b in zip(columns, low, high, strict=True)}
-    outside = [j for j in columns if not np.isclose(linear.u[j], nearest[linear.inputs[j]], rtol=1e-9, atol=1e-12)]
-    for j in outside:
-        name, (least, most) = linear.inputs[j], (side[columns.index(j)] for side in (low, high))
-        text = f"The operating point has {name} = {linear.u[j]:.6g}, but u_min and u_max limit it to {least:g} ... {most:g}."
-        if name in given:
-            raise ModelError(f"{text} Change at= or the limits.")
-    if not outside or not (linear.x.any() or linear.u.any() or linear.y.any()):  # a linear system has no such point
-        return linear
-    try:
-        return linearization({**at, **{linear.inputs[j]: nearest[linear.inputs[j]] for j in outside}})
-    except ModelError:
-        warn_user(
-            f"{text} No steady state within the limits was found. Give at=, or change the limits.", ModelMismatchWarning
-        )
-        return linear
+    while True:
+        outside = {}
+        for j, least, most in zip(columns, low, high, strict=True):
+            name, u = linear.inputs[j], float(linear.u[j])
+            if np.isclose(u, nearest := float(np.clip(u, least, most)), rtol=1e-9, atol=1e-12):
+                continue
+            outside[name] = nearest
+            texts.append(
+                f"The operating point has {name} = {u:.6g}, but u_min and u_max limit it to {least:g} ... {most:g}."
+            )
+            if name in given:
+                raise ModelError(f"{texts[-1]} Change at= or the limits.")
+        if not outside:
+            return linear
+        fixed |= outside  # another control may then be outside in its place
+        try:
+            linear = linearization({**at, **fixed})
+        except ModelError as error:
+            warn_user(f"{' '.join(texts)} No model within the limits was found: {error}", ModelMismatchWarning)
+            return first
 
 
 def _positive(name: str, value: object, size: int) -> Floats:

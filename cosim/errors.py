@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from bayesftc.cosim.run.result import Result
 
 
+FILES = (".toml", ".csv", ".fmu", ".parquet")
+"""Endings of files, which say nothing of their names."""
+
+
 class BayesFTCError(Exception):
     """Base of all errors of this package; the command line ends with its ``exit_code``."""
 
@@ -176,7 +180,8 @@ LAX = "try it all the same with validate=False (bayesftc inspect: --no-validate)
 def _alike(name: str, other: str) -> bool:
     """Return whether names of files are similar without the ending that they share, such as ``.toml``; True of other names."""
     (stem, ending), (other_stem, other_ending) = splitext(name), splitext(other)
-    return not ending or ending != other_ending or bool(get_close_matches(stem, [other_stem], cutoff=0.6))
+    shared = ending in FILES and ending == other_ending
+    return not shared or bool(get_close_matches(stem, [other_stem], cutoff=0.6))
 
 
 def did_you_mean(name: object, names: Iterable[str], before: str = "", others: Iterable[str] = ()) -> str:

@@ -263,9 +263,10 @@ def diagnose(
         left = _of_faults(result, model, samples, probability, found, faulty_sensors)
         if left is not None and result.kind != "unknown":
             otherwise = f"{left.sentence} With all samples, as if no sensor had failed: {result.sentence}"
-            left = replace(left, sentence=otherwise, others=(result.kind, *result.others))
+            left = replace(left, sentence=otherwise)
         result = left or result
-        if result.kind in {"unknown", "onset", *OF_FAULTS} and not np.isfinite(probability).any():
+        unjudged = getattr(getattr(controller, "precision", None), "why_no_probability", "")
+        if result.kind in {"unknown", "onset", *OF_FAULTS} and unjudged and model.sensors > 1:
             result = replace(result, sentence=f"{result.sentence} {UNJUDGED}")
     if result is None or (nothing and result.kind == "unknown"):
         started = wrong_start(model, controller, samples, units[0])
@@ -295,7 +296,9 @@ def _of_faults(
     """
     blamed = _blamed(probability, samples, together=result.kind in {"unknown", *OF_FAULTS})
     left = None if blamed is None else _without_blamed(model, samples, blamed, found, words)
-    return left if left is not None and (result.kind == "unknown" or left.kind == "sensors") else None
+    if left is None or (result.kind != "unknown" and left.kind != "sensors"):
+        return None
+    return left if result.kind == "unknown" else replace(left, others=(result.kind, *result.others))
 
 
 def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
@@ -312,7 +315,7 @@ def _blamed(probability: Floats, samples: Floats, *, together: bool) -> NDArray[
     Several sensors count if another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
     `_without_blamed` decides whether they are all that is wrong.
     """
-    blamed = probability.reshape(len(probability), -1) >= ALARM
+    blamed = probability.reshape(len(probability), -1 if len(probability) else 0) >= ALARM
     if blamed.shape != np.shape(samples):
         return None
     count = blamed.sum(axis=1)

@@ -195,7 +195,10 @@ class Judge:
 
     @cached_property
     def lasting(self) -> Floats:
-        """Responses to the constant pushes from the first sample on, as if no sample were missing (sets x H x T x m)."""
+        """Responses to the constant pushes from the first sample on, as if no sample were missing (sets x H x T x m).
+
+        With slow sensors these are responses of the steady filters: a guess of where to look, not of what is there.
+        """
         return self.pushes(self.constant, whole=True)
 
     def offset(self, readings: Floats) -> Floats:

@@ -284,7 +284,7 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
     doubt = DIFFERENT if _unequal(values, model) else "S"
-    if len(groups) > 1 and controlled:
+    if len(groups) > 1 and controlled and not _unequal(values, model):
         doubt = ELSEWHERE if has_loads(model) else SEVERAL
     return (
         f"{each}. {doubt}ubtract them from the readings, or estimate them: LinearModel.with_sensor_errors(std={std}, "

@@ -115,7 +115,7 @@ def measured_by(sensors: int | Sequence[int] | None, outputs: int) -> list[int]:
         count = outputs if sensors is None else int(as_number("The model has sensors", sensors, least=1, whole=True))
         if count % outputs:
             raise ModelError(
-                f"The sensors are {count}, which is no multiple of the {outputs} measured outputs. Give a number for each, "
+                f"{count} sensors are no multiple of {outputs} measured outputs. Give a number for each, "
                 f"such as sensors={(*[1] * (outputs - 1), 3)} for one sensor of each but three of the last. A single number must "
                 f"be a multiple of {outputs}: the sensors then measure the outputs in turn."
             )

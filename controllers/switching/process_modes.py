@@ -29,7 +29,7 @@ class NoisierProcess:
     time_to_recovery : float
         Mean duration in seconds after the first sample.
     scale : float
-        Standard deviation of the process noise in this mode, in nominal ones. A kick may reach four times as far. With a
+        Standard deviation of the process noise in this mode, in nominal ones. A kick may reach four times that far. With a
         larger scale, a plant slower than its model makes the loop unstable sooner. Below 1 the process is quieter, where the
         nominal noise may be stated too large.
     fading : float

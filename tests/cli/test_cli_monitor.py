@@ -399,7 +399,7 @@ def watch_pumped(folder, dt=0.1, A=0.98, B=0.2, *options):
         ({"dt": 0.05}, "dt", r"Check dt: .* 0\.(09|1)\d* s, but dt is 0\.05 s"),
     ],
 )  # fmt: skip
-def test_a_wrong_model_is_named_before_the_result(model, kind, words, pumped):
+def test_a_wrong_model_is_named_in_a_warning(model, kind, words, pumped):
     done = watch_pumped(pumped, **model)
     assert done.stderr.startswith("Warning: All sensors disagree")
     assert re.search(words, done.stderr)
@@ -426,7 +426,7 @@ def test_faults_of_sensors_of_two_quantities_are_no_error_of_a_right_model(tmp_p
     done = RUNNER.invoke(app, ["monitor", str(tmp_path / "two.csv"), "--model", str(tmp_path / "two.toml"), "--json"])
     numbers = json.loads(done.stdout)
     assert [(event["sensor"], event["kind"]) for event in numbers["faults"]] == [("a", "Drifting"), ("d", "Frozen")]
-    assert numbers["model"]["kind"] == "sensors"
+    assert (numbers["model"]["kind"], numbers["model"]["others"]) == ("sensors", ["noise"])
     assert numbers["notes"][0].startswith(
         "The monitor blames a and d at the same time. Without the samples for which it"
     )

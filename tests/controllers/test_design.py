@@ -184,6 +184,16 @@ def test_the_operating_point_is_within_the_limits(start, steady, heat):
     assert controller.initial_mean[0] == start
 
 
+def test_a_control_that_leaves_its_limits_in_place_of_another_is_limited_too():
+    room = control.nlsys(
+        lambda t, x, u, params: u[0] + u[1] - 0.1 * (x - 20.0), lambda t, x, u, params: x,
+        inputs=["a", "b"], outputs=["T"], states=["T"],
+    )  # fmt: skip
+    controller = design(cosim.StateSpace(room, initial=[60.0]), dt=1.0, u_min=0.0, u_max=[1.0, 2.5])
+    assert controller.model.operating_control == pytest.approx((1.0, 2.5))
+    assert controller.model.operating_state == pytest.approx((55.0,))
+
+
 def test_the_only_input_is_the_control_also_if_it_has_noise():
     lag = control.ss([[-0.1]], [[0.1]], [[1.0]], 0.0, inputs=["u"], outputs=["y"])
     assert design(lag, dt=1.0, noise={"u": 0.3}).model.names.controls == ("u",)
@@ -196,7 +206,7 @@ def test_a_control_that_cannot_hold_any_steady_state_is_said():
         lambda t, x, u, params: np.array([x[1], u[0] / 1.5 - 9.81]), lambda t, x, u, params: x[0],
         inputs=["thrust"], outputs=["h"], states=["h", "v"],
     )  # fmt: skip
-    words = r"thrust = 14.715, but u_min and u_max limit it to 0 \.\.\. 10. No steady state within the limits was found. Give at="
+    words = r"thrust = 14.715, but u_min and u_max limit it to 0 \.\.\. 10. No model within the limits was found: No steady state"
     with pytest.warns(controllers.ModelMismatchWarning, match=words):
         design(cosim.StateSpace(drone, initial=[10.0, 0.0]), dt=0.02, u_min=0.0, u_max=10.0)
 
@@ -325,7 +335,7 @@ def test_outputs_may_have_different_numbers_of_sensors():
     four = design(tank, **settings, sensors=(1, 3), sensor_std=(0.01, 0.2))
     with pytest.raises(ConnectionError, match=r"sensors=cosim\.Sensors\(count=\(1, 3\), std="):
         cosim.closed_loop(tank, four, control=["valve", "heater"], measured=["h", "T"], reference=[1.0, 5.0])
-    with pytest.raises(ModelError, match=r"are 3, which is no multiple of the 2 .* sensors=\(1, 3\)"):
+    with pytest.raises(ModelError, match=r"3 sensors are no multiple of 2 .* sensors=\(1, 3\)"):
         design(tank, **settings, sensors=3)
     with pytest.raises(ModelError, match=r"without names, in the order of the measured outputs: sensors=\(1, 3\)"):
         design(tank, **settings, sensors={"h": 1, "T": 3})

@@ -191,8 +191,10 @@ def differences(stored: Any, given: Any, place: str = "") -> list[str]:
     if (
         old == new and isinstance(stored, str) and isinstance(given, str)
     ):  # long texts: from a little before the difference on
-        alike = next((i for i, (a, b) in enumerate(zip(stored, given, strict=False)) if a != b), 0)
-        old, new = (f"...{brief(text[max(alike - SHOWN, 0) :])}" for text in (stored, given))
+        alike = next(
+            (i for i, (a, b) in enumerate(zip(stored, given, strict=False)) if a != b), min(map(len, (stored, given)))
+        )
+        old, new = (f"{'...' * (alike > SHOWN)}{brief(text[max(alike - SHOWN, 0) :])}" for text in (stored, given))
     return [f"{place} is {old} in the store and {new} now"]
 
 

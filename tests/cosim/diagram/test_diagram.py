@@ -171,6 +171,7 @@ def test_of_many_names_the_first_are_listed():
     assert (
         did_you_mean("pump.toml", ["car.toml", "s.toml"]) == "known names: car.toml, s.toml."
     )  # only the ending is shared
+    assert did_you_mean("car.speed", ["plant.speed", "plant.u"]) == "did you mean 'plant.speed'?"
     assert did_you_mean("pmp.toml", ["car.toml", "pump.toml"]) == "did you mean 'pump.toml'?"
     assert did_you_mean("zzz", map(str, range(100, 115))).endswith("110, 111, and 3 more.")
 

@@ -176,7 +176,7 @@ def monitor(
     faults = mismatch is not None and mismatch.kind == "sensors"  # which the tables show
     if mismatch is not None and not faults:
         warnings.warn(mismatch.sentence, ModelMismatchWarning, stacklevel=2)
-    suspicion = None if mismatch and loaded.inputs else suspect_model(loaded, monitored)
+    suspicion = None if mismatch and not faults and loaded.inputs else suspect_model(loaded, monitored)
     if fitted and suspicion and fitted.model.strangers.keys() & set(suspicion.sensors):
         suspicion = None  # a sensor that does not follow the others agrees with everything within its noise
     doubtful = doubtful_alarms(loaded, monitored) if (mismatch and not faults) or suspicion else ()
