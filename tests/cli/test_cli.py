@@ -318,6 +318,19 @@ def test_an_input_fault_of_the_run_may_be_what_speaks_against_the_model(bayesftc
     assert [bool(numbers["model"]), words in " ".join(numbers["notes"])] == 2 * [bool(fault)]
 
 
+def test_a_run_whose_diagnosis_fails_is_not_lost(bayesftc_, tmp_path, monkeypatch):
+    def failing(*_):
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr(controllers, "diagnose", failing)
+    (tmp_path / "car.toml").write_text(CAR)
+    done = bayesftc_("run", "car.toml", "--duration", 2, "--out", "out")
+    assert done.exit_code == 70
+    assert "Faults and their detection" in done.stdout
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figure.png", "figures.json", "result.npz"]
+    assert json.loads(bayesftc_("run", "car.toml", "--duration", 2, "--json").stdout)["sensors"]
+
+
 def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     joint = 'initial_mean = 20.0\nbelief = "joint"\ncontrol_covariance = 1e4\ngoal_covariance = 1e-3'
     (tmp_path / "car.toml").write_text(CAR.replace("initial_mean = 20.0", joint))

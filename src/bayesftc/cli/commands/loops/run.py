@@ -124,6 +124,8 @@ def run(
             output.print_report(numbers)
         if out is not None:
             output.write_files(out, result, numbers, signals)
+        if json:
+            typer.echo(output.as_json(numbers))
         raise
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
