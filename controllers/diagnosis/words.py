@@ -286,9 +286,11 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     doubt = DIFFERENT if _unequal(values, model) else "S"
     if len(groups) > 1 and controlled and not _unequal(values, model):
         doubt = ELSEWHERE if has_loads(model) else SEVERAL
+    one = len(groups) == 1 < len(model.alike) and controlled
+    coupled = " An error of A between the quantities, as of a stiffness, may look the same." if one else ""
     return (
         f"{each}. {doubt}ubtract them from the readings, or estimate them: LinearModel.with_sensor_errors(std={std}, "
-        f"time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model file."
+        f"time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model file.{coupled}"
     )
 
 

@@ -365,7 +365,7 @@ def _step(default_step: float | None, dt: float | str | Fraction | None) -> Frac
     if dt is None:
         raise StepSizeError(
             "The plant is a system without a sample time, so that of the controller is not known. Give it in seconds: dt=0.01, "
-            "or dt = 0.01 in [simulation] of a scenario file."
+            "or dt = 0.01 in [simulation] (not in [plant]) of a scenario file."
         )
     return rational_step(dt)
 

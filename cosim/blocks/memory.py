@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import ceil
@@ -136,6 +137,8 @@ class ExponentialFilter(SameUnit):
     """
 
     result: ClassVar[str] = "The filtered signal"
+    running: ClassVar[Mapping[str, float]] = {"begun": 1.0}
+    """States once samples have come, about which a loop is linearized."""
 
     time_constant: float
     size: int = 1
@@ -188,6 +191,7 @@ class MovingAverage(SameUnit):
     """
 
     result: ClassVar[str] = "The mean of the window"
+    running: ClassVar[Mapping[str, float]] = {"window": 0.0}
 
     samples: int
     size: int = 1

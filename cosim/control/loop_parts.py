@@ -228,7 +228,7 @@ def _of_block(
         system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
             raise ModelError(_hidden(node, driven, measured, step))
-        x = system.initial_state
+        x = _running_state(diagram, node, system)
         linear, y = system.linearize(x, u), system.output(0.0, x, u)
         a, b, c, d = linear.A, linear.B, linear.C, linear.D
     ratio = step / plant_step
@@ -293,6 +293,18 @@ def _system(
     return part.to_control(inputs=whole[0], outputs=whole[1], seed=None, engine=engine)
 
 
+def _running_state(diagram: Diagram, node: Node, system: Any) -> Floats:
+    """Return the initial state of a block or a subsystem, with filters that have had samples: the first one passes unfiltered."""
+    x = np.array(system.initial_state)
+    parts = part_of(diagram, [node.name]).nodes if isinstance(node.block, Boundary) else (node,)
+    names = [label.partition("[")[0] for label in system.state_labels]
+    for part in parts:
+        for state, value in getattr(part.block, "running", {}).items():
+            own = state if part is node else f"{part.name.replace('.', '_')}_{state}"
+            x[[i for i, name in enumerate(names) if name == own]] = value
+    return x
+
+
 def _elements(ports: Iterable[Port]) -> list[tuple[str, int]]:
     return [(port.name, i) for port in ports for i in range(port.size)]
 
@@ -337,7 +349,7 @@ def _law(diagram: Diagram, node: Node, y: Floats) -> Matrices:
     C, G = (getattr(block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     if C is not None and G is not None and np.isfinite(C).all():
         goal = G @ np.linalg.lstsq(C, y)[0]
-    linear = system.linearize(system.initial_state, np.concatenate([y, goal]))
+    linear = system.linearize(_running_state(diagram, node, system), np.concatenate([y, goal]))
     A, B, C, D = linear.A, linear.B, linear.C, linear.D
     keep = np.abs(C).max(axis=0, initial=0.0) > NO_INFLUENCE
     while (more := keep | (np.abs(A[keep]).max(axis=0, initial=0.0) > NO_INFLUENCE)).sum() > keep.sum():

@@ -87,3 +87,28 @@ def test_blocks_between_controller_and_plant_are_refused_with_the_way_out():
     between["connections"] = [("controller.u", "limit.u"), ("limit.y", "plant.u")]
     with pytest.raises(ModelError, match=r"does not lead to the plant 'plant' .* Linearize the whole loop"):
         loop(drive(), pi(), **between).linear()
+
+
+@pytest.mark.parametrize(
+    ("smooth", "filtered"),
+    [
+        (cosim.ExponentialFilter(0.5), control.tf([1 - np.exp(-0.04), 0], [1, -np.exp(-0.04)], 0.02)),
+        (cosim.MovingAverage(10), control.tf([0.1] * 10, [1] + 9 * [0], 0.02)),
+    ],
+)
+def test_a_filter_in_the_controller_is_in_the_linear_loop(smooth, filtered):
+    """Its first sample passes unfiltered: an unstable loop had a gain margin of 10."""
+    inside = cosim.Diagram(dt=0.02)
+    error, gain = inside.add(cosim.Sum("+-"), "error"), inside.add(cosim.Gain(10.0), "gain")
+    between = inside.add(smooth, "filter")
+    inside.connect(error["y"], between["u"])
+    inside.connect(between["y"], gain["u"])
+    law = cosim.Subsystem(inside, inputs={"goal": "error.u[0]", "y": "error.u[1]"}, outputs={"u": "gain.y"})
+    plant = cosim.TransferFunction([1.0], [1.0, 0.5])
+    loop = cosim.closed_loop(plant, law, control="u", measured="y", reference=1.0)
+    open_loop = 10.0 * control.c2d(control.tf([1.0], [1.0, 0.5]), 0.02) * filtered
+    _, phase, _, crossover = control.margin(open_loop)
+    found = loop.margins()
+    assert (found.phase, found.gain_crossover) == pytest.approx((phase, crossover), rel=1e-3)
+    slowest = np.abs(control.feedback(open_loop).poles()).max()
+    assert np.abs(loop.poles()).max() == pytest.approx(slowest, abs=1e-6)
