@@ -46,6 +46,9 @@ sensors until it is estimated."""
 UNEQUAL = 3.0
 """Standard deviations of a sensor from which on offsets of one quantity are no common one."""
 
+VISIBLE = 0.1
+"""Offset of a sensor of several, in standard deviations of its noise, below which it is none."""
+
 DIFFERENT = (
     "Offsets of one quantity that differ so much are more likely faults of single sensors, or errors of the model that make the "
     "controller follow these: look at both first. If they are offsets, s"
@@ -279,7 +282,7 @@ def _estimate(load: str, model: LinearModel) -> str:
 
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], controlled: bool) -> str:
     groups = [group for group in model.alike if any(values[i] for i in group)]
-    sensors = sorted(i for group in groups for i in group)
+    sensors = sorted(i for group in groups for i in _with_offset(group, values, model))
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
@@ -300,11 +303,20 @@ def _unequal(values: Sequence[float], model: LinearModel) -> bool:
     return any(np.ptp([values[i] for i in g]) > UNEQUAL * max(std[i] for i in g) for g in model.alike)
 
 
+def _with_offset(group: Sequence[int], values: Sequence[float], model: LinearModel) -> list[int]:
+    """Return the sensors of one quantity whose offset is visible in their noise; all if none is."""
+    std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
+    return [i for i in group if abs(values[i]) > VISIBLE * std[i]] or list(group)
+
+
 def _offset_of(group: Sequence[int], values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
     """Return which sensors of one quantity have which offset."""
+    whole, group = len(group), _with_offset(group, values, model)
     numbers = " and ".join(map(str, group))
     names = " and ".join(dict.fromkeys(model.names.sensors[i] for i in group)) if model.names else ""
-    if len(group) == 1:
+    if len(group) < whole:
+        who = f"sensor{'s' * (len(group) > 1)} {numbers}{f' ({names})' * bool(names)}"
+    elif whole == 1:
         who = f"the only sensor of {names}" if names else f"sensor {numbers}, the only one of its quantity,"
     else:
         who = f"all sensors of {names} ({numbers})" if names else f"sensors {numbers}, all of one quantity,"

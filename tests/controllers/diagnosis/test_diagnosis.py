@@ -1248,3 +1248,14 @@ def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):
     finding = controllers.diagnose(loop.simulate(8.0, seed=seed), loop)
     assert (finding.kind, finding.others) == ("sensors", ("onset",))
     assert finding.sentence.startswith("The controller blames sensors 0 and 1. Without the samples for which it blames")
+
+
+def test_an_offset_that_nobody_would_see_is_not_named():
+    """Of two load cells the healthy one was said to have an offset of a hundredth of its noise."""
+    model = controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2)[[0, 0, 1]], 1e-3, [4.0, 4.0, 1e-4], dt=0.1)
+    words = sentence("offset", (-0.02, -15.0, 0.0), model)
+    assert "sensor 1 has a constant offset of about -15." in words
+    assert "with_sensor_errors(std=200, time_constant=1e5, sensors=[1])" in words
+    assert "sensors 0 and 1, all of one quantity, have constant offsets of about -14 and -15" in sentence(
+        "offset", (-14.0, -15.0, 0.0), model
+    )
