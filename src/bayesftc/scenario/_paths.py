@@ -138,14 +138,16 @@ def set_line(content: Any, path: str, value: Any) -> None:
                 at[step] = value
                 return
         else:
-            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; {_there(at)}")
+            raise ScenarioError(f"The factor {path!r}: the scenario has no {step!r}{so_far}; {_there(at, step)}")
         if isinstance(at[step], str) and (condition := When.read(at[step])):
             at[step] = asdict(condition)  # a condition as text has the entries of its table
         at, so_far = at[step], f" in {'.'.join(map(str, steps[: i + 1]))}"
 
 
-def _there(part: Any) -> str:
+def _there(part: Any, step: str | int) -> str:
     """Return the end of a sentence about an element that does not exist."""
     if isinstance(part, list):
+        if "," in str(step):
+            return f"write an element of a matrix as [{']['.join(str(step).replace(' ', '').split(','))}]."
         return f"it has the elements 0 to {len(part) - 1}." if part else "the list is empty."
     return "check the path of the line."

@@ -128,6 +128,7 @@ def test_a_part_of_what_is_another_factor_is_changed_after_it(file):
         ('scenario = "cruise_control"', 'scenario = "cruise"', "did you mean 'cruise_control'"),
         ('kind = "rmse"', 'kind = "rms"', "did you mean 'RMSE'"),
         ('signal = "plant.v"', "", "lacks 'signal'"),
+        ('"faults[0].start"', '"faults[0,2]"', "write an element of a matrix as [0][2]."),
         ('"faults[0].start"', '"faults[3].start"', "the scenario has no 3 in faults; it has the elements 0 to 0."),
         ('"faults[0].start"', '"fault[0].start"', "the scenario has no 'fault'; did you mean 'faults'?"),
         (
