@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian.linear import BayesianController, UnstableLoopWarning
+from bayesftc.controllers.models.disturbances import loads_of
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.gamma import GammaPrecision
 from bayesftc.controllers.precision.rate import Calibration, RateLearner
@@ -378,36 +379,33 @@ def _check_hazards(hazards: tuple[float, float], model: LinearModel) -> None:
             )
 
 
+def _limits(controller: Any, size: int) -> tuple[Floats, Floats]:
+    """Return the limits of each control; infinite for a controller without."""
+    low, high = (getattr(controller, name, inf) for name, inf in (("u_min", -np.inf), ("u_max", np.inf)))
+    return np.broadcast_to(np.asarray(low), size), np.broadcast_to(np.asarray(high), size)
+
+
 def _process_noise(model: LinearModel, controller: Any) -> Floats:
     """Return the process noise of the simulated plant: of a control with limits, an estimated load does not move.
 
     A load is a random walk, which in so many steps would leave any limits, and an unstable plant would be lost.
     """
     noise = model.matrix("process_covariance").copy()
-    limits = np.concatenate(
-        [np.ravel(getattr(controller, name)) for name in ("u_min", "u_max") if hasattr(controller, name)]
-    )
-    if np.isfinite(limits).any():
-        first, last = model.states - model.disturbances, model.states - model.constant
-        loads = first + np.flatnonzero(model.matrix("A")[:first, first:last].any(axis=0))
+    if np.isfinite(_limits(controller, model.controls)).any():
+        loads = loads_of(model)
         noise[loads], noise[:, loads] = 0.0, 0.0
     return noise
 
 
 def _warn_if_lost(controls: Floats, controller: Any) -> None:
     """Warn if the control of a simulated run is at its limits for long: the plant is then hardly held."""
-    low, high = (
-        np.broadcast_to(np.asarray(getattr(controller, name, inf)), controls.shape[1:]) for name, inf in _NO_LIMITS
-    )
+    low, high = _limits(controller, controls.shape[1])
     share = float(((controls <= low) | (controls >= high)).mean(axis=0).max(initial=0.0))
     if share >= LIMITED:
         warn_user(
             f"In the simulated run a control is at its limits for {share:.0%} of the time, so the plant is hardly held, and its "
             "figures say little of the learner. Give wider limits (u_min, u_max), a smaller reference, or a calmer model."
         )
-
-
-_NO_LIMITS = (("u_min", -np.inf), ("u_max", np.inf))
 
 
 def _loop(

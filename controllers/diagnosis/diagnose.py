@@ -315,7 +315,9 @@ def _blamed(probability: Floats, samples: Floats, *, together: bool) -> NDArray[
     Several sensors count if another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
     `_without_blamed` decides whether they are all that is wrong.
     """
-    blamed = probability.reshape(len(probability), -1 if len(probability) else 0) >= ALARM
+    if not len(probability):
+        return None
+    blamed = probability.reshape(len(probability), -1) >= ALARM
     if blamed.shape != np.shape(samples):
         return None
     count = blamed.sum(axis=1)

@@ -286,9 +286,12 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
-    doubt = DIFFERENT if _unequal(values, model) else "S"
-    if len(groups) > 1 and controlled and not _unequal(values, model):
+    if _unequal(values, model):
+        doubt = DIFFERENT
+    elif len(groups) > 1 and controlled:
         doubt = ELSEWHERE if has_loads(model) else SEVERAL
+    else:
+        doubt = "S"
     one = len(groups) == 1 < len(model.alike) and controlled
     coupled = " An error of A between the quantities, as of a stiffness, may look the same." if one else ""
     return (

@@ -34,10 +34,16 @@ def with_loads(model: LinearModel, covariance: Matrix, controls: Sequence[int] |
     return _with_states(model, first, np.eye(p), model.effects[:, chosen], np.zeros((m, p)), walk)
 
 
-def has_loads(model: LinearModel) -> bool:
-    """Return whether some disturbances move the plant: loads do, errors of sensors and the constant do not count."""
+def loads_of(model: LinearModel) -> list[int]:
+    """Return the states of the disturbances that move the plant: loads do, errors of sensors and the constant do not count."""
     first = model.states - model.disturbances
-    return bool(np.any(model.matrix("A")[:first, first : model.states - model.constant]))
+    moving = model.matrix("A")[:first, first : model.states - model.constant].any(axis=0)
+    return [first + int(j) for j in np.flatnonzero(moving)]
+
+
+def has_loads(model: LinearModel) -> bool:
+    """Return whether some disturbances move the plant."""
+    return bool(loads_of(model))
 
 
 def with_sensor_errors(

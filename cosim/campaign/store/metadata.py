@@ -188,12 +188,10 @@ def differences(stored: Any, given: Any, place: str = "") -> list[str]:
     ):  # as texts, NaN equals NaN, and 1 is not 1.0
         return []
     old, new = _text_of(stored), _text_of(given)
-    if (
-        old == new and isinstance(stored, str) and isinstance(given, str)
-    ):  # long texts: from a little before the difference on
-        alike = next(
-            (i for i, (a, b) in enumerate(zip(stored, given, strict=False)) if a != b), min(map(len, (stored, given)))
-        )
+    if old == new and isinstance(stored, str) and isinstance(given, str):
+        # Of long texts that begin alike, what is from a little before the difference on.
+        pairs = enumerate(zip(stored, given, strict=False))
+        alike = next((i for i, (a, b) in pairs if a != b), min(len(stored), len(given)))
         old, new = (f"{'...' * (alike > SHOWN)}{brief(text[max(alike - SHOWN, 0) :])}" for text in (stored, given))
     return [f"{place} is {old} in the store and {new} now"]
 

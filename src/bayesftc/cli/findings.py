@@ -30,9 +30,16 @@ def notes_on(loop: Diagram, result: Result, signals: LoopSignals) -> list[str]:
     ]
 
 
-def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals: LoopSignals) -> None:
-    """Add to the numbers of a run what speaks against the model, and hints where healthy sensors are blamed."""
-    numbers["model"], compared = _diagnosed(loop, result)
+def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals: LoopSignals) -> Exception | None:
+    """Add to the numbers of a run what speaks against the model, and hints where healthy sensors are blamed.
+
+    An error of the diagnosis, which is one of this package, is returned, to be raised once the run is shown and written.
+    """
+    failed, compared = None, 0
+    try:
+        numbers["model"], compared = _diagnosed(loop, result)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must not take the run with it
+        numbers["model"], failed = None, error
     hints = _hints(numbers, loop, result, signals)
     said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
     numbers["notes"] = [*said, *hints]
@@ -44,6 +51,7 @@ def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals
         )
     blaming = numbers["model"] or hints or result.suspicions
     numbers["model_without_error"] = None if blaming or not compared else compared
+    return failed
 
 
 def _diagnosed(loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, int]:

@@ -1259,3 +1259,33 @@ def test_an_offset_that_nobody_would_see_is_not_named():
     assert "sensors 0 and 1, all of one quantity, have constant offsets of about -14 and -15" in sentence(
         "offset", (-14.0, -15.0, 0.0), model
     )
+
+
+@pytest.mark.parametrize(
+    ("precision", "record", "said"),
+    [
+        (controllers.FixedPrecision(), None, True),
+        (controllers.SwitchingPrecision(), None, False),
+        (controllers.SwitchingPrecision(), ["controller.u", "sensors.y"], False),  # it infers faults, but was not asked
+    ],
+)
+def test_a_controller_that_infers_no_faults_says_so_of_a_load(precision, record, said):
+    model = controllers.LinearModel([[0.999]], [[2e-4]], [[1.0], [1.0]], 1e-3, 1.0, dt=0.02)
+    car = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
+    run = cosim.closed_loop(
+        car, controllers.BayesianController(model, precision, initial_mean=20.0), control="force", measured="v",
+        sensors=cosim.Sensors(2, 1.0), reference=20.0, input_faults={"force": cosim.Bias(magnitude=1500.0, start=6.0)},
+    )  # fmt: skip
+    finding = controllers.diagnose(run.simulate(20.0, seed=1, record=record), run)
+    assert finding.kind == "onset"
+    assert ("this controller does not infer them" in finding.sentence) == said
+
+
+def test_offsets_of_several_quantities_are_doubted_first():
+    model = controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2)[[0, 0, 1, 1]], 1e-3, [0.01] * 4, dt=0.1)
+    values = (1.0, 1.0, 2.0, 2.0)
+    assert "Try disturbance=True in design first. If they are offsets, subtract" in sentence("offset", values, model)
+    words = sentence("offset", values, model.with_disturbance(1e-4))
+    assert "a load that acts elsewhere than the control" in words
+    assert "disturbance=True" not in words
+    assert "more likely faults of single sensors" in sentence("offset", (1.0, 3.0, 2.0, 2.0), model)

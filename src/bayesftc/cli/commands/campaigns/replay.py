@@ -144,7 +144,7 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
         return
     numbers |= numbers_of(signals)
     numbers["notes"] += notes_on(diagram, result, signals)
-    add_findings(numbers, diagram, result, signals)
+    failed = add_findings(numbers, diagram, result, signals)
     if not json and not quiet:
         output.print_report(numbers)
     if out is not None:
@@ -156,6 +156,8 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
             output.say_written(out)
     elif result.stopped:
         sys.stderr.write(f"{result.stopped}\n")
+    if failed is not None:
+        raise failed
 
 
 def _write_signals(folder: Path, result: Result, numbers: Mapping[str, Any]) -> None:

@@ -117,16 +117,7 @@ def run(
             error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
-    try:
-        add_findings(numbers, loop, result, signals)
-    except Exception:  # an error of this package, which must not take the run with it
-        if not json and not quiet:
-            output.print_report(numbers)
-        if out is not None:
-            output.write_files(out, result, numbers, signals)
-        if json:
-            typer.echo(output.as_json(numbers))
-        raise
+    failed = add_findings(numbers, loop, result, signals)
     if check_kalman:
         numbers["kalman"] = _kalman(loaded, loop, result)
     elif _is_ser(loaded):
@@ -143,6 +134,8 @@ def run(
         typer.echo(output.as_json(numbers))
     elif out is not None and not quiet:
         output.say_written(out)
+    if failed is not None:
+        raise failed
 
 
 def _compare(scenario: Scenario) -> None:
