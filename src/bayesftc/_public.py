@@ -63,7 +63,9 @@ def unknown(name: str, names: list[str], package: str) -> AttributeError:
     """Return the error of a package that lacks a public name. A name of another package is said to be there."""
     if name.startswith("_"):  # Python itself asks for it
         return AttributeError(f"module {package!r} has no attribute {name!r}")
-    return AttributeError(f"{package} has no {name!r}; {_hint(name, names, package)}")
+    error = AttributeError(f"{package} has no {name!r}; {_hint(name, names, package)}")
+    error.name = ""  # else Python adds to an uncaught one its own "Did you mean", after our full stop
+    return error
 
 
 def meant(name: str) -> tuple[str, ...]:

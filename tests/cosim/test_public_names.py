@@ -1,5 +1,8 @@
 """Wrong names of the packages."""
 
+import subprocess
+import sys
+
 import pytest
 
 import bayesftc
@@ -42,6 +45,12 @@ def test_a_name_of_another_tool_gets_the_one_here(package, name, hint):
 def test_a_name_of_another_package_is_said_to_be_there(package, name, there):
     with pytest.raises(AttributeError, match=f"^{package.__name__} has no '{name}'; it is {there}[.]$"):
         getattr(package, name)
+
+
+def test_python_adds_no_suggestion_of_its_own():
+    script = "from bayesftc import cosim; cosim.desing"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert run.stderr.rstrip().endswith("bayesftc.cosim has no 'desing'; did you mean 'Design' or 'Session'?")
 
 
 def test_all_suggested_names_are_public():
