@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
@@ -34,9 +35,7 @@ DAMPINGS, SAME = (1e-6, 1e-7), 0.01
 def _of_sensors(controller: BayesianController, std: Floats) -> str:
     """Return a number for each sensor; of several quantities with its own behind it, because they may alternate."""
     names = controller.model.names.sensors if controller.model.names else ()
-    if len(dict.fromkeys(names)) < 2:
-        return _numbers(std)
-    return ", ".join(f"{_numbers(std[i : i + 1])} ({name})" for i, name in enumerate(names))
+    return _each(std, names)
 
 
 def _about(model: LinearModel) -> str:
@@ -107,9 +106,10 @@ def _process_noise(model: LinearModel) -> str:
     back = np.linalg.pinv(B)
     on_controls = back @ Q @ back.T
     if np.abs(B @ on_controls @ B.T - Q).max() <= 1e-9 * np.abs(Q).max():
-        text = f"{_numbers(_std(on_controls))} on {'each control' if model.controls > 1 else 'the control'}"
+        controls = model.names.controls if model.names else ()
+        text = f"{_each(_std(on_controls), controls)} on {'each control' if model.controls > 1 else 'the control'}"
     else:
-        text = f"{_numbers(_std(Q))} of each state"
+        text = f"{_each(_std(Q), model.state_names)} of each state"
     further = _std(whole)[model.states - model.disturbances :]
     if loads:
         text += f"; {_numbers(further[:loads])} of {'each' if loads > 1 else 'the'} disturbance"
@@ -151,10 +151,11 @@ def gain_lines(controller: BayesianController) -> list[str]:
     """Return lines about the gains of filter and control in steady state."""
     gains = controller.steady_gains()
     away = ", each as its deviation from the operating point" if controller.model.constant else ""
+    controls = controller.model.names.controls if controller.model.names else ()
     return [
-        f"Gain of the filter, a row for each state: {_rows(gains.K)}.",
-        f"The control is F goal - K belief{away}. K, a row for each control: {_rows(gains.L)}.",
-        f"F, a row for each control: {_rows(gains.M)}.",
+        f"Gain of the filter, a row for each state: {_rows(gains.K, controller.model.moving.state_names)}.",
+        f"The control is F goal - K belief{away}. K, a row for each control: {_rows(gains.L, controls)}.",
+        f"F, a row for each control: {_rows(gains.M, controls)}.",
     ]
 
 
@@ -248,10 +249,23 @@ def _numbers(values: Floats) -> str:
     return ", ".join(f"{value:.4g}" for value in values)
 
 
-def _rows(matrix: Floats) -> str:
-    """Return the rows of gains; what is only rounding beside the largest one is 0."""
+def _rows(matrix: Floats, names: Sequence[str]) -> str:
+    """Return the rows of gains, of several each with its name; what is only rounding beside the largest one is 0."""
     exact = np.where(np.abs(matrix) > NOTHING * np.abs(matrix).max(initial=0.0), matrix, 0.0)
-    return "; ".join(_numbers(row) for row in exact)
+    rows = [_numbers(row) for row in exact]
+    return "; ".join(_with_names(rows, names))
+
+
+def _each(values: Floats, names: Sequence[str]) -> str:
+    """Return numbers, of several each with its name."""
+    return ", ".join(_with_names([_numbers(values[i : i + 1]) for i in range(len(values))], names))
+
+
+def _with_names(texts: list[str], names: Sequence[str]) -> list[str]:
+    """Return texts of several, each with its name behind it, as far as there are names."""
+    if len(dict.fromkeys(names)) < 2:
+        return texts
+    return [f"{text} ({name})" for text, name in zip(texts, names[: len(texts)], strict=True)]
 
 
 def _limits(controller: BayesianController) -> str:

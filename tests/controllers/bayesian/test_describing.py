@@ -71,6 +71,19 @@ def test_the_noise_of_sensors_of_several_quantities_names_them():
     assert not any("(" in line for line in lqg().describe().splitlines() if line.startswith(start))
 
 
+def test_rows_of_gains_have_the_names_of_states_and_controls():
+    text = precise_axis(sensors=4).describe()
+    gain = next(line for line in text.splitlines() if line.startswith("Gain of the filter"))
+    assert re.fullmatch(
+        r"Gain of the filter, a row for each state: [^;(]+ \(x\[0]\); [^;(]+ \(x\[1]\); [^;(]+ \(disturbance\[0]\)\.",
+        gain,
+    )
+    drives = control.ss(np.eye(2) * 0.9, np.eye(2), np.eye(2), 0, 0.1, inputs=["left", "right"])
+    two = controllers.design(drives, actuated=["left", "right"], noise={"left": 0.1, "right": 0.2}).describe()
+    assert "as standard deviations: 0.1 (left), 0.2 (right) on each control." in two
+    assert re.search(r"K, a row for each control: [^;(]+ \(left\); [^;(]+ \(right\)\.", two)
+
+
 @pytest.mark.parametrize("learner", controllers.LEARNERS, ids=lambda learner: learner.__name__)
 def test_every_learner_is_described(learner):
     text = lqg(precision=learner()).describe()
@@ -78,7 +91,10 @@ def test_every_learner_is_described(learner):
     assert f"Precision learner: {learner.__name__}." in text
     assert "Model: 2 states, 1 control, 2 sensors of 1 quantity, every 0.1 s." in text
     assert "Expected errors without faults" in text
-    assert "Expected process noise in each step, as standard deviations: 0.01, 0.01414 of each state.\n" in text
+    assert (
+        "Expected process noise in each step, as standard deviations: 0.01 (x[0]), 0.01414 (x[1]) of each state.\n"
+        in text
+    )
     assert len(text) < 3000
     assert pretty(text) == str(text)  # as the last line of a notebook's cell
 
@@ -100,7 +116,7 @@ def test_settings_faults_names_and_limits_are_named():
     )  # at 0.1 s, five times the default
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
-    assert "0.01, 0.01414 of each state; 0.01 of the disturbance.\n" in text
+    assert "0.01 (x[0]), 0.01414 (x[1]) of each state; 0.01 of the disturbance.\n" in text
     assert (
         "at constant goals and disturbances, with a sample of every sensor in each step (standard deviations)" in text
     )
