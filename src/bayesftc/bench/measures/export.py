@@ -17,13 +17,22 @@ from bayesftc.bench._figures import Figure, Section, in_turns, ratios
 from bayesftc.bench.measures.full_loop import SETTING
 
 if TYPE_CHECKING:
-    from bayesftc.controllers import BayesianController
+    from bayesftc.controllers import BayesianController, PrecisionLearner
     from bayesftc.cosim.export.c_file import CFile
 
 SIZES = ((1, 2), (2, 3), (5, 5), (10, 10), (20, 20))
 """Numbers of states and sensors."""
 
+LEARNERS = (
+    *(("fixed", m) for m in (2, 8)),
+    *(("gamma", m) for m in (2, 8)),
+    *(("switching, joint=False", m) for m in (2, 8)),
+    *(("switching", m) for m in (2, 3, 4, 6, 8)),
+)
+"""Learners with numbers of sensors of the car's speed: the hypotheses of the last one grow with them."""
+
 SAMPLES = 1024
+NO_SIZE = "The program 'size' of the binutils was not found."
 _FLAGS = ("-O2", "-std=c99", "-ffp-contract=off")
 
 _LOOP = """\
@@ -74,12 +83,12 @@ int main()
 """
 
 
-def controller_of(states: int, sensors: int) -> BayesianController:
-    """Return a controller with gamma learning: for the car with one state, otherwise for a random linear model."""
+def controller_of(states: int, sensors: int, precision: PrecisionLearner | None = None) -> BayesianController:
+    """Return a controller for the car with one state, otherwise for a random linear model; by default with gamma learning."""
     from bayesftc import controllers
 
     s = SETTING
-    precision = controllers.GammaPrecision(forgetting=s.forgetting, prior_shape=s.prior_shape)
+    precision = precision or controllers.GammaPrecision(forgetting=s.forgetting, prior_shape=s.prior_shape)
     if states == 1:
         model = controllers.LinearModel(
             [[s.a]],
@@ -107,7 +116,7 @@ def measure(quick: bool = False) -> Section:
     """Check that C and engine compute the same, measure both in turns, and then the sizes."""
     from bayesftc.fmus._compiler import why_no_compiler
 
-    title = "Controllers with gamma learning as C"
+    title = "Controllers as C, with gamma learning where no learner is named"
     if why_no_compiler():
         return Section("export", title, (Figure("c", "a step in C", "ns", [], reason=why_no_compiler()),))
     steps, rounds = (20_000, 3) if quick else (500_000, 15)
@@ -115,6 +124,8 @@ def measure(quick: bool = False) -> Section:
         figures = _speed(Path(folder), steps, rounds)
         for states, sensors in SIZES[:2] if quick else SIZES:
             figures += _size(Path(folder) / f"{states}x{sensors}", states, sensors)
+        for i, (name, sensors) in enumerate(LEARNERS[:1] if quick else LEARNERS):
+            figures += _learner(Path(folder) / str(i), name, sensors, steps // 10)
     return Section("export", title, tuple(figures))
 
 
@@ -124,10 +135,7 @@ def _speed(folder: Path, steps: int, rounds: int) -> list[Figure]:
 
     controller = controller_of(1, 2)
     _written(folder, controller)
-    (folder / "loop.c").write_text(_LOOP.replace("%SAMPLES%", str(SAMPLES)))
-    _compile(folder, ["controller.c", "loop.c"], "-shared", "-fPIC", "-o", "loop.so", "-lm")
-    library = ctypes.CDLL(str(folder / "loop.so"))
-    library.run.restype = ctypes.c_double
+    in_c = _loop(folder)
     diagram, idle = Diagram(controller.sample_time), Diagram(controller.sample_time)
     node = diagram.add(controller, "controller")
     diagram.connect(diagram.add(Constant(0.0), "goal")["y"], node["goal"])  # the default in the C code
@@ -137,8 +145,8 @@ def _speed(folder: Path, steps: int, rounds: int) -> list[Figure]:
             diagram.connect(sensors["y"], node["y"])
     short = diagram.simulate((SAMPLES - 1) * diagram.step, seed=1, record=["controller.u", "sensors.y"])
     samples = np.ascontiguousarray(short["sensors.y"])
-    run = partial(library.run, ctypes.c_long(steps), ctypes.c_void_p(samples.ctypes.data))
-    once = library.run(ctypes.c_long(SAMPLES), ctypes.c_void_p(samples.ctypes.data))
+    run = partial(in_c, ctypes.c_long(steps), ctypes.c_void_p(samples.ctypes.data))
+    once = in_c(ctypes.c_long(SAMPLES), ctypes.c_void_p(samples.ctypes.data))
     np.testing.assert_allclose(once, np.sum(short["controller.u"]), rtol=1e-12)  # sums in another order
     simulate = partial(diagram.simulate, steps * diagram.step, record=["controller.u"])
     alone = partial(idle.simulate, steps * idle.step, record=["sensors.y"])
@@ -180,9 +188,47 @@ def _size(folder: Path, states: int, sensors: int) -> list[Figure]:
     ]
     for name, flag in (("fast", "-O2"), ("small", "-Os")):
         flash = _flash(folder / f"{name}.o")
-        why = None if flash else "The program 'size' of the binutils was not found."
+        why = None if flash else NO_SIZE
         figures.append(Figure(f"flash_{name}_{size}", f"{title}: flash ({flag})", "bytes", flash, reason=why))
     return figures
+
+
+def _learner(folder: Path, name: str, sensors: int, steps: int) -> list[Figure]:
+    """Return size and time of the car's controller with a learner and so many sensors."""
+    from bayesftc import controllers
+
+    learners: dict[str, PrecisionLearner] = {
+        "fixed": controllers.FixedPrecision(),
+        "gamma": controllers.GammaPrecision(),
+        "switching, joint=False": controllers.SwitchingPrecision(joint=False),
+        "switching": controllers.SwitchingPrecision(),
+    }
+    folder.mkdir()
+    _written(folder, controller_of(1, sensors, learners[name]))
+    run = _loop(folder)
+    rng = np.random.default_rng(sensors)
+    samples = SETTING.start_speed + 0.1 * rng.normal(size=(SAMPLES, sensors))
+    started = time.process_time()
+    run(ctypes.c_long(steps), ctypes.c_void_p(samples.ctypes.data))
+    taken = (time.process_time() - started) / steps
+    _compile(folder, ["controller.c"], "-Os", "-c", "-o", "small.o")
+    _, memory, reason = _counted(folder)
+    flash = _flash(folder / "small.o")
+    title, key = f"{name}, {sensors} sensors", f"{name}_{sensors}"
+    return [
+        Figure(f"flash_{key}", f"{title}: flash (-Os)", "bytes", flash, reason=None if flash else NO_SIZE),
+        Figure(f"memory_{key}", f"{title}: RAM, inputs and outputs too", "bytes", memory, reason=reason),
+        Figure(f"time_{key}", f"{title}: a step in C (-O2), processor time", "us", [1e6 * taken]),
+    ]
+
+
+def _loop(folder: Path) -> Any:
+    """Return the compiled function that runs a controller for a number of steps over given samples."""
+    (folder / "loop.c").write_text(_LOOP.replace("%SAMPLES%", str(SAMPLES)))
+    _compile(folder, ["controller.c", "loop.c"], "-shared", "-fPIC", "-o", "loop.so", "-lm")
+    run = ctypes.CDLL(str(folder / "loop.so")).run
+    run.restype = ctypes.c_double
+    return run
 
 
 def _written(folder: Path, controller: BayesianController) -> CFile:

@@ -86,7 +86,9 @@ def _first_runs(folder: str) -> tuple[Finished | str, Finished | str]:
 
 
 def _engine_files(folder: str) -> set[str]:
-    return {path.name for path in Path(folder).rglob("engine_*") if path.suffix == ".nbc"}
+    """Return the names of the engine's parts: machine code from our compiler (service), and from numba (engine)."""
+    names = (path.name for path in Path(folder).rglob("*_*") if path.suffix in {".o", ".nbc"})
+    return {name for name in names if name.startswith(("service_", "engine_"))}
 
 
 def _attempt(command: Callable[[], Finished]) -> Finished | str:
