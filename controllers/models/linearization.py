@@ -31,6 +31,7 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, is_system
 from bayesftc.cosim.blocks.state_space import StateSpace
+from bayesftc.cosim.control.differences import equations, parted
 from bayesftc.cosim.errors import ModelError, StepSizeError, brief
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
@@ -326,21 +327,16 @@ def _of_nonlinear(
     columns, into = chosen(inputs, known_inputs, "input")
     rows, out = chosen(outputs, [port.name for port in block.outputs], "output")
     x = np.array(block.initial, dtype=np.float64)
-    n, params = len(x), {} if block.params is None else dict(block.params)
+    n, both = len(x), equations(block)
 
     def residual(x: Floats, u: Floats) -> Floats:
-        change = np.asarray(system.dynamics(0.0, x, u, params), dtype=np.float64)
+        change = both(np.concatenate([x, u]))[:n]
         return change if system.dt == 0 else change - x
-
-    def both(z: Floats) -> Floats:
-        """Return dynamics and outputs of states and inputs."""
-        moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
-        return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
 
     x, u, rate = _rest(residual, x, u, _free(actuated, known_inputs, at), stated=False)
     with np.errstate(over="ignore", invalid="ignore"):  # a result that is not finite is refused
         whole = derivative(both, np.concatenate([x, u]))
-    a, b, c, d = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+    a, b, c, d = parted(whole, n)
     y = both(np.concatenate([x, u]))[n:]
     step = _step(system.dt, dt)
     if system.dt == 0:

@@ -16,6 +16,7 @@ from bayesftc.controllers.models.checks import frozen
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
+from bayesftc.cosim.control.differences import BENDS
 from bayesftc.cosim.errors import BayesFTCError, ModelError
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.fmi.reading.archive import open_archive
@@ -43,9 +44,6 @@ largest change relative to that before as many lengths, of a plant that approach
 
 ENOUGH = 1e-12
 """Relative difference of the responses to two pulse sizes at which the search for a size ends."""
-
-BENDS = 0.05
-"""Relative difference of the responses to pulses up and down above which there is a warning."""
 
 AGREES = 1e-3
 """Relative error of the model's responses above which there is a warning."""

@@ -10,6 +10,7 @@ import control
 import numpy as np
 
 from bayesftc.cosim.block import Block
+from bayesftc.cosim.control.differences import parted, slopes
 from bayesftc.cosim.control.equations import Equations
 from bayesftc.cosim.control.machine import Machine
 from bayesftc.cosim.diagram.diagram import Diagram
@@ -17,6 +18,9 @@ from bayesftc.cosim.diagram.opening import Names, Signals, chosen, needed, opene
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.types import Floats
+
+EPS = 2
+"""Place of the step of differences among further arguments of python-control's ``linearize``."""
 
 
 class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
@@ -60,6 +64,9 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
     def linearize(self, x0: Any, u0: Any = None, t: float = 0, *args: Any, **settings: Any) -> Any:
         """Return the linearization at a state and inputs, as ``control.linearize`` describes it.
 
+        The derivatives are central differences with a suitable step for each element. With ``eps`` python-control makes a step of
+        this size; its default of 1e-6 is too large for a state of 1e-5, and imprecise for one of 1e5.
+
         In the linearization precision learners do not learn: the precision of each sensor is constant, with its value at this
         point, and the memory of a learner is no state of the result. Numbers that are not finite at the point (the fault
         probability of a learner without one, the variance of an ignored sensor) are constant, with derivatives of zero. So all
@@ -100,9 +107,12 @@ class ControlSystem(control.NonlinearIOSystem):  # type: ignore[misc]
             **names,
         )
         try:
-            return held.linearize(x0, u0, t, *args, **settings)
+            linear = held.linearize(x0, u0, t, *args, **settings)
+            if "eps" not in settings and len(args) < EPS:
+                _refine(linear, held, x0, u0, t)
         finally:
             hints.has_warned = has_warned
+        return linear
 
 
 def initial_state(system: Any) -> Floats:
@@ -204,6 +214,18 @@ def _vector(values: Any, size: int) -> Floats:
             f"linearize has a vector of {len(vector)} numbers, but the system has {size}; give one number for each."
         )
     return vector
+
+
+def _refine(linear: Any, system: Any, x0: Floats, u0: Floats, t: float) -> None:
+    """Replace the matrices of a linearization by more precise ones, where the functions can be evaluated about the point."""
+    n = len(x0)
+
+    def both(z: Floats) -> Floats:
+        return np.concatenate([system.updfcn(t, z[:n], z[n:], {}), system.outfcn(t, z[:n], z[n:], {})])
+
+    parts = parted(slopes(both, np.concatenate([x0, u0]))[0], n)
+    for matrix, part in zip((linear.A, linear.B, linear.C, linear.D), parts, strict=True):
+        matrix[:] = np.where(np.isfinite(part), part, matrix)
 
 
 def _finite(function: Callable[..., Floats], values: Floats) -> Callable[..., Floats]:

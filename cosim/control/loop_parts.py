@@ -12,6 +12,7 @@ import numpy as np
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, normalised
 from bayesftc.cosim.blocks.state_space import StateSpace
+from bayesftc.cosim.control.differences import equations, parted, slopes
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import part_of
@@ -27,6 +28,9 @@ from bayesftc.cosim.types import Floats
 Engine = Literal["auto", "compiled", "interpreted"]
 Element = tuple[Port, int]
 """A port and the number of an element."""
+
+CONSTANT = 1e-9
+"""Distance from 1 of a derivative by differences of a number by itself, up to which the number stays constant."""
 
 NO_INFLUENCE = 1e-7
 """Smaller derivatives by differences count as rounding."""
@@ -219,6 +223,13 @@ def _of_block(
         y = c @ np.asarray(block.initial) + d @ u
         if block.system.dt == 0:
             a, b = held(a, b, float(plant_step))
+    elif isinstance(block, StateSpace):  # its equations, rather than steps of its solver
+        x, both = np.array(block.initial, dtype=np.float64), equations(block)
+        point = np.concatenate([x, u])
+        a, b, c, d = parted(slopes(both, point)[0], len(x))
+        y = both(point)[len(x) :]
+        if block.system.dt == 0:
+            a, b = held(a, b, float(plant_step))
     elif isinstance(block, FMU) and block.kind == "model exchange":
         with ModelEquations(block) as model:
             a, b, c, d = model.jacobians(model.x0, u)
@@ -238,7 +249,24 @@ def _of_block(
             "loop is not a linear system with a constant step. Run the controller as often as the plant."
         )
     a, b = _repeated(a, b, int(ratio))
-    return Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]), np.asarray(y)[lines]
+    return _moving(Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)])), np.asarray(y)[lines]
+
+
+def _moving(plant: Matrices) -> Matrices:
+    """Return a plant without numbers that stay constant, such as parameters, and without numbers that nothing reads.
+
+    An FMU of this package has such numbers among its states: with them the plant has poles at 1 and 0 that are none of it.
+    """
+    A, B, C, D = plant
+    while len(A):
+        apart = A - np.diag(np.diag(A))
+        constant = (np.abs(np.diag(A) - 1.0) < CONSTANT) & (apart == 0.0).all(axis=1) & (B == 0.0).all(axis=1)
+        unread = (A == 0.0).all(axis=0) & (C == 0.0).all(axis=0)
+        keep = ~(constant | unread)
+        if keep.all():
+            break
+        A, B, C = A[np.ix_(keep, keep)], B[keep], C[:, keep]
+    return Matrices(A, B, C, D)
 
 
 def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction) -> str:

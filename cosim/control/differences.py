@@ -1,0 +1,140 @@
+"""Derivatives of a function by differences of its values."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesftc.cosim.types import Floats
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.blocks.state_space import StateSpace
+
+BENDS = 0.05
+"""From this relative difference of the slopes on both sides of a point on, a function bends there."""
+
+SMOOTH = 1e-6
+"""Largest bend of a smooth function, relative to its slope over one of the larger steps."""
+
+GROWS = 1.5
+"""A slope or bend that grows by more than this while the step shrinks to a tenth shows that the larger step was too large."""
+
+FINE, FINEST, SMALL = 1e-10, 1e-6, 1e-9
+"""Smallest step: relative to an element's size, or to 1 for smaller elements; to the size of these; and the least size there."""
+
+ABOVE, MOST = 10.0, 1e-6
+"""Growth counts if it is so many times larger than the rounding of the function; the largest rounding, relative to its values."""
+
+ALIKE, STRAIGHT = 1e-10, 1e-6
+"""The search ends if two slopes differ by less than the first share of the slope, and bend by less than the second."""
+
+
+def slopes(f: Callable[[Floats], Floats], at: Floats) -> tuple[Floats, bool]:
+    """Return the derivative of a function at a point by central differences, and whether it has a kink or a jump there.
+
+    Large steps suffer from nonlinearity, small ones from rounding. The best size depends on units and function, so several are
+    tried for each element. The step counts that differs least from the next larger one, rounding included. Steps that are larger
+    than the range in which the function is smooth do not count: there slope or bend grow as the step shrinks. A step at which the
+    function cannot be evaluated does not count either; without any other the derivative is NaN.
+    """
+    here = np.asarray(f(at), dtype=np.float64)
+    whole, kink = np.full((len(here), len(at)), np.nan), False
+    whole[:, ~np.isfinite(at)] = 0.0  # such a number stays as it is
+    for j in np.flatnonzero(np.isfinite(at)):
+        whole[:, j], kinks = _slope(f, at, int(j), here)
+        kink |= bool(kinks.any())
+    return whole, kink
+
+
+def parted(whole: Floats, n: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return A, B, C and D from the derivatives of n states' changes and of the outputs by states and inputs."""
+    return whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
+
+
+def equations(block: StateSpace) -> Callable[[Floats], Floats]:
+    """Return a nonlinear plant's dynamics and outputs, one after the other, as a function of states and inputs together."""
+    system, n, params = block.system, np.asarray(block.initial).size, dict(block.params or {})
+
+    def both(z: Floats) -> Floats:
+        moves, seen = (f(0.0, z[:n], z[n:], params) for f in (system.dynamics, system.output))
+        return np.concatenate([np.ravel(moves), np.ravel(seen)]).astype(np.float64)
+
+    return both
+
+
+def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> tuple[Floats, Floats]:
+    """Return the derivative by one element, and where the function has a kink or a jump."""
+    rows = len(here)
+    chosen, least, kinks = np.full(rows, np.nan), np.full(rows, np.inf), np.zeros(rows, bool)
+    lost, steepest = np.zeros(rows, bool), np.zeros(rows)
+    before: tuple[Floats, Floats] | None = None
+    sizes, noise = _steps(abs(float(at[j]))), None
+    for size in sizes:
+        above, below = (_value(f, at, j, sign * size) for sign in (1.0, -1.0))
+        if above is None or below is None:
+            continue
+        step = ((at[j] + size) - (at[j] - size)) / 2  # the step after rounding beside the element
+        slope, bend = (above - below) / (2 * step), np.abs(above - 2 * here + below) / step
+        rounding = 4 * np.finfo(np.float64).eps * np.abs(here) / step
+        if before is not None:
+            lost |= (slope == 0) & (before[0] != 0) & (bend <= rounding)  # the step is too small to have an effect
+            grown = _grown(slope, bend, before) & ~lost
+            if grown.any():
+                noise = _noise(f, at, j, here, sizes) if noise is None else noise
+                grown &= _grown(slope, bend, before, ABOVE * np.maximum(noise / step, rounding))
+            error = np.where(grown, np.inf, np.abs(slope - before[0]) + rounding)
+            least[grown] = np.inf  # the steps before do not count, unless there is no smaller one, as beside a jump
+            better = ((error < least) | np.isnan(chosen)) & ~lost
+            chosen[better], least[better] = slope[better], error[better]
+            # For a smooth function a tenth of the step gives a tenth of the bend.
+            sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope)) & (bend > 1e3 * rounding)
+            # The bend of a drag v|v| beside its zero is constant, and next to nothing.
+            sharp &= bend > SMOOTH * steepest
+            kinks[better] = sharp[better]
+            if ((error <= ALIKE * np.abs(slope) + rounding) & (bend <= STRAIGHT * np.abs(slope) + rounding)).all():
+                break
+        before, steepest = (slope, bend), np.maximum(steepest, np.abs(slope))
+    return chosen, kinks | (np.isinf(least) & np.isfinite(chosen))
+
+
+def _grown(slope: Floats, bend: Floats, before: tuple[Floats, Floats], least: Floats | float = 0.0) -> Floats:
+    """Return where slope or bend are larger than with a step ten times as large, and than the least that counts."""
+    pairs = (np.abs(slope), np.abs(before[0])), (bend, before[1])
+    return np.asarray(np.any([now > np.maximum(GROWS * larger, least) for now, larger in pairs], axis=0))
+
+
+def _noise(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats, sizes: list[float]) -> Floats:
+    """Return the rounding of a function's values, which may be sums of much larger ones, by changes with the smallest step.
+
+    A change that is not small beside the changes with the largest step is no rounding but a jump.
+    """
+
+    def change(step: float) -> Floats:
+        values = (_value(f, at, j, sign * step) for sign in (1.0, -1.0))
+        changes = (np.abs(value - here) for value in values if value is not None)
+        return np.asarray(np.max([np.zeros(len(here)), *changes], axis=0))
+
+    smallest = np.max([change(share * sizes[-1]) for share in (1.0, 0.7, 0.5)], axis=0)
+    return np.asarray(np.minimum(smallest, MOST * np.maximum(change(sizes[0]), np.abs(here))))
+
+
+def _steps(size: float) -> list[float]:
+    """Return the steps to try for an element of a size, from large to small; it may be small because of its unit."""
+    largest = max(size, 1.0)
+    smallest = min(FINE * largest, FINEST * max(size, SMALL) if size else np.inf)
+    return [float(f"1e-{k}") * largest for k in range(1, 2 + round(np.log10(0.1 * largest / smallest)))]
+
+
+def _value(f: Callable[[Floats], Floats], at: Floats, j: int, step: float) -> Floats | None:
+    moved = at.copy()
+    moved[j] += step
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            value = np.asarray(f(moved), dtype=np.float64)
+    except (ArithmeticError, ValueError):
+        return None
+    return value if np.isfinite(value).all() else None
