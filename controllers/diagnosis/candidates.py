@@ -399,11 +399,13 @@ def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]
     """Return late controls: a coarse search, or a fine one about the best of `coarse`."""
     u, dt = judge.recording.u, float(judge.model.step)
     most = _most_steps(judge)
+    before = holding(judge.model, judge.recording.mean)  # the plant was probably at rest where it starts
+    lags: list[Course] = []
     if coarse is None:
-        lags: list[Course] = [("late", (most * f * dt, 1.0), lagged(u, most * f)) for f in LAGS]
-        return lags + [("late", (k * dt, 0.0), delayed(u, k)) for k in _coarse(most)]
-    best = _best(coarse, "late", lambda x: not x.values[1]).values[0] / dt
-    return [("late", (k * dt, 0.0), delayed(u, k)) for k in _near(best, most)]
+        lags, steps = [("late", (most * f * dt, 1.0), lagged(u, most * f, before)) for f in LAGS], _coarse(most)
+    else:
+        steps = _near(_best(coarse, "late", lambda x: not x.values[1]).values[0] / dt, most)
+    return lags + [("late", (k * dt, 0.0), delayed(u, k, before)) for k in steps]
 
 
 def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:

@@ -152,11 +152,9 @@ def _steps(
     return whole.reshape(N, -1, m, whole.shape[-1])[:, :samples], states.reshape(N, -1, n)[:, :samples]
 
 
-def delayed(u: Floats, steps: int) -> Floats:
-    """Return the controls `steps` samples late, with zeros before."""
-    late = np.zeros_like(u)
-    late[steps:] = u[: len(u) - steps]
-    return late
+def delayed(u: Floats, steps: int, before: Floats) -> Floats:
+    """Return the controls `steps` samples late, after the control that acted `before` the recording."""
+    return np.concatenate([np.tile(before, (min(steps, len(u)), 1)), u[: max(len(u) - steps, 0)]])
 
 
 def earlier(u: Floats, steps: Sequence[int]) -> Floats:
@@ -167,10 +165,10 @@ def earlier(u: Floats, steps: Sequence[int]) -> Floats:
     return early
 
 
-def lagged(u: Floats, steps: float) -> Floats:
-    """Return the controls through a first-order lag with a time constant of `steps` samples."""
+def lagged(u: Floats, steps: float, before: Floats) -> Floats:
+    """Return the controls through a first-order lag with a time constant of `steps` samples, after the control `before`."""
     share = 1.0 - float(np.exp(-1.0 / steps))
-    late, last = np.empty_like(u), np.zeros(u.shape[1])
+    late, last = np.empty_like(u), np.array(before, dtype=np.float64)
     for k in range(len(u)):  # scipy.signal takes a second to import, pandas a third of one
         last = late[k] = (1.0 - share) * last + share * u[k]
     return late

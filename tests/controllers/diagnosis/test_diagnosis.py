@@ -817,7 +817,31 @@ def test_delays_of_a_model_that_are_too_long_are_named(case):
 
 
 def test_delayed_controls_come_later():
-    np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2), [[0.0], [0.0], [1.0]])
+    np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2, [9.0]), [[9.0], [9.0], [1.0]])
+
+
+@pytest.mark.parametrize(("late", "seed"), [(2, 0), (3, 1), (5, 0), (5, 2)])
+def test_before_the_recording_the_control_held_the_plant(late, seed):
+    """Zero volts before would be a push by the whole operating control, which spoke for shorter delays or other causes."""
+    system = control.ss([[0, 1], [20, 0]], [[0], [1]], np.eye(2), 0)
+    A, B, _, _ = control.ssdata(system.sample(0.01))
+    levitated = control.nlsys(
+        lambda t, x, u, p: A @ x + B @ (u - 9.0), lambda t, x, u, p: x[:1],
+        inputs=["force"], outputs=["height"], states=["x", "v"], dt=0.01,
+    )  # fmt: skip
+    plant = cosim.StateSpace(levitated, initial=[0.0, 0.0])
+    controller = controllers.design(
+        plant, measured="height", actuated="force", sensors=2, sensor_std=1e-3, noise={"force": 0.05},
+        acceptable_error=0.02, acceptable_control=3.0,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        plant, controller, control="force", measured="height", sensors=cosim.Sensors(2, 1e-3),
+        reference=cosim.Pulse(0.01, period=1.0),
+        input_faults={"force": cosim.Delay(delay=late / 100, initial=9.0)},
+    )  # fmt: skip
+    finding = controllers.diagnose(loop.simulate(2.0, seed=seed), loop)
+    assert finding.kind == "late"
+    assert finding.values == (pytest.approx(0.01 * late), 0.0)
 
 
 def test_earlier_controls_come_earlier_each_by_its_own():
