@@ -57,7 +57,8 @@ DIFFERENT = (
 
 SEVERAL = (
     "All sensors of several quantities are rarely wrong together: a load, or a control with another effect than in B, looks "
-    "the same. Try disturbance=True in design first. If they are offsets, s"
+    "the same. Try disturbance=True in design first. If the error stays, the load acts elsewhere than the control "
+    "(docs/how-to/constant-disturbances.md). If they are offsets, s"
 )
 """What to try before offsets of several quantities are believed."""
 
@@ -221,8 +222,8 @@ def _sign(values: Sequence[float], model: LinearModel) -> str:
 
 def _gain(values: Sequence[float], model: LinearModel) -> str:
     return (
-        f"{named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B, the mass or "
-        "inertia behind it, and the actuator's gain."
+        f"{named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B: the gain of "
+        "the actuator, and the mass, inertia or capacity that it acts on."
     )
 
 
@@ -385,9 +386,9 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     if elsewhere:
         ends = any(np.isfinite(load[1]) for load in loads)
         far = "If the plant is far from its operating point meanwhile, its nonlinearity may look the same. " * ends
+        acts = f"a load acts {times}, " if len(loads) == 1 else f"one load acts {times}; at least one of the two acts "
         return (
-            f"{'a load acts' if len(loads) == 1 else 'two loads act,'} {times}, "
-            f"{'' if len(loads) == 1 else 'at least one of them '}where no control does. {far}If such "
+            f"{acts}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
             "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, put a "
             "lag before the input there, or add such an input, and give it noise. Noise without a lag is not enough for a load "

@@ -337,7 +337,7 @@ def test_a_joint_belief_is_told_apart_from_filterpys(bayesftc_, tmp_path):
     done = bayesftc_("run", "car.toml", "--check-kalman", "--json")
     check = json.loads(done.output)["kalman"]
     assert check["agrees"] is False
-    assert "does NOT agree" in check["verdict"]
+    assert "does not agree" in check["verdict"]
     assert "depends on the goal" in check["verdict"]
 
 
@@ -348,7 +348,7 @@ def test_state_and_faults_inferred_together_are_told_apart_from_filterpys(bayesf
     for settings, agrees, words in (
         ("", True, ["infers state and faults together", "its per-sensor form", "agrees"]),
         ("joint = false", True, ["The belief agrees"]),
-        ('actuator_modes = [{ kind = "LostEffect" }]', False, ["does NOT agree", "infers state and faults together"]),
+        ('actuator_modes = [{ kind = "LostEffect" }]', False, ["does not agree", "infers state and faults together"]),
     ):
         (tmp_path / "car.toml").write_text(f"{text}{settings}\n")
         done = bayesftc_("run", "car.toml", "--duration", "8", "--check-kalman", "--json")

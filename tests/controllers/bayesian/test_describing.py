@@ -71,6 +71,14 @@ def test_the_noise_of_sensors_of_several_quantities_names_them():
     assert not any("(" in line for line in lqg().describe().splitlines() if line.startswith(start))
 
 
+def test_modes_that_no_control_moves_are_no_poles_of_the_control():
+    A = [[-0.1, 0.05, 0.1], [0, -0.001, 0], [0, 0, -1e-5]]  # a room, with the lags of two loads
+    room = control.ss(A, np.eye(3)[:, :2], [[1, 0, 0]], 0, inputs=["heat", "outside"], outputs=["room"])
+    lines = controllers.design(room, dt=1.0, measured="room", actuated="heat", sensors=2).describe().splitlines()
+    assert re.match(r"Closed-loop poles of the control: 0\.\d+; the slowest of magnitude 0\.\d+ \(", lines[0])
+    assert lines[1].startswith("Modes that no control moves: 0.99999, 0.999; the slowest of magnitude 0.99999")
+
+
 def test_rows_of_gains_have_the_names_of_states_and_controls():
     text = precise_axis(sensors=4).describe()
     gain = next(line for line in text.splitlines() if line.startswith("Gain of the filter"))

@@ -1308,7 +1308,9 @@ def test_a_controller_that_infers_no_faults_says_so_of_a_load(precision, record,
 def test_offsets_of_several_quantities_are_doubted_first():
     model = controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2)[[0, 0, 1, 1]], 1e-3, [0.01] * 4, dt=0.1)
     values = (1.0, 1.0, 2.0, 2.0)
-    assert "Try disturbance=True in design first. If they are offsets, subtract" in sentence("offset", values, model)
+    assert "Try disturbance=True in design first. If the error stays, the load acts elsewhere" in sentence(
+        "offset", values, model
+    )
     words = sentence("offset", values, model.with_disturbance(1e-4))
     assert "a load that acts elsewhere than the control" in words
     assert "disturbance=True" not in words
