@@ -202,10 +202,23 @@ class Comparison:
         }
 
     def __repr__(self) -> str:
-        return self.table.to_string(index=False)
+        return self._shown().to_string()
 
     def _repr_html_(self) -> str:
-        return self.table.to_html(index=False)
+        return self._shown().to_html()
+
+    def _shown(self) -> pd.DataFrame:
+        """Return the table with a column for each loop and signal, and four digits: pandas makes 0.000006 of 5.9e-06."""
+        import pandas as pd
+
+        def digits(value: Any) -> str:
+            if pd.isna(value):
+                return ""
+            return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+        whole = self.table.set_index(["loop", "signal"])
+        shown = pd.DataFrame({key: [digits(each) for each in row] for key, row in whole.iterrows()}, whole.columns)
+        return shown[(shown != "").any(axis=1)]
 
 
 _NOTHING = dict.fromkeys(("difference", "low", "high", "wins", "pairs"), np.nan)

@@ -30,4 +30,4 @@ plt.show()
 # %%
 # The numbers:
 
-comparison.table.set_index("loop").T
+comparison

@@ -78,7 +78,11 @@ def test_loops_have_the_same_noise_and_faults(compared):
 
 
 def test_a_comparison_is_shown_as_its_table(compared):
-    assert repr(compared).splitlines()[0].split()[:2] == ["loop", "signal"]
+    lines = [line.split() for line in repr(compared).splitlines()]
+    assert lines[0] == list(compared.table["loop"])
+    shown = {line[0]: line[1:] for line in lines[2:]}
+    np.testing.assert_allclose(list(map(float, shown["error"])), compared.table["error"], rtol=1e-3)
+    assert len(shown["wins"]) == len(lines[0]) - 1  # the first loop has no difference to itself
     assert "<table" in compared._repr_html_()
 
 
