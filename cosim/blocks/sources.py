@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bayesftc.cosim.base.numbers import real, reals
+from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.table_files import find_times, read_table_file, times_in
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.tables import place
@@ -307,12 +308,14 @@ class Table(Source):
         file : str or Path
             The file; one that ends in ``.parquet`` is read as such, every other as CSV with a header.
         column : str
-            Name of the column.
+            Name of the column; a unit in brackets at its end may be left out, as ``"T"`` for ``T [degC]``.
         time : str, optional
             Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms`` or ``t [min]``; by default
             a column that is called t, time or timestamp, also with a unit, else the first one with dates (ISO 8601).
-        interpolate, unit
+        interpolate
             As of the class.
+        unit : str, optional
+            Unit of the output; by default the one in brackets at the end of the column's name, if there is one.
 
         Raises
         ------
@@ -324,17 +327,19 @@ class Table(Source):
         import pandas as pd
 
         table = read_table_file(file)
+        columns = list(map(str, table.columns))
+        column = column_called(column, columns) or column
         time = time or find_times(table, (column,)) or "time"
         for name in (time, column):
             if name not in table:
-                raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, map(str, table.columns))}")
+                raise RecordingError(f"{file} has no column {name!r}; {did_you_mean(name, columns)}")
         try:
             rows = pd.DataFrame({"t": times_in(table, time), "y": table[column].astype(float)}).dropna()
         except RecordingError as error:
             raise RecordingError(f"{file}: {error}") from None
         except (TypeError, ValueError) as error:
             raise RecordingError(f"{file} has text in {time!r} or {column!r}: {error}.") from None
-        return cls(rows["t"].tolist(), rows["y"].tolist(), interpolate, unit)
+        return cls(rows["t"].tolist(), rows["y"].tolist(), interpolate, unit or column_unit(column) or None)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -123,6 +123,14 @@ def test_unit_and_pickle(block):
     assert hash(copy) == hash(block)
 
 
+def test_a_column_is_found_without_its_unit_which_the_output_has(tmp_path):
+    (tmp_path / "weather.csv").write_text("time,outside [degC],sun [raw]\n0,1.0,2\n60,3.0,4\n")
+    read = cosim.Table.read(tmp_path / "weather.csv", "outside")
+    assert read == cosim.Table([0.0, 60.0], [1.0, 3.0], unit="degC")
+    assert cosim.Table.read(tmp_path / "weather.csv", "outside [degC]", unit="K").unit == "K"
+    assert cosim.Table.read(tmp_path / "weather.csv", "sun [raw]").unit is None
+
+
 def test_a_table_is_read_from_a_file_and_searched(tmp_path, run_both):
     rng = np.random.default_rng(0)
     times, values = np.sort(rng.uniform(0.5, 7.5, 500)), rng.normal(size=500)

@@ -363,8 +363,8 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
         )
         if agrees is False:
             verdict += (
-                " That form did not control the run: where it loses the plant, as an unstable one, both filters lose digits. A run "
-                'with kind = "FixedPrecision" in [controller.precision] is checked as it was.'
+                " That form did not control the run: where it loses the plant, as an unstable one, both filters lose digits. "
+                'A run with kind = "FixedPrecision" in [controller.precision] is checked as it was.'
             )
     if agrees is None:
         for what, signal in (("mean", "x_hat"), ("covariance", "P")):
