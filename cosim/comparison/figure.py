@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
+from bayesftc.cosim.judging.limits import mark_cut
 from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels
 from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
 from bayesftc.cosim.judging.signals import LoopSignals
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = (BLUE, *SENSOR_COLOURS)
+LOST, ROOM = 10.0, 0.3
+"""A loop is lost if it goes so many times as far as the nearest one; space beside the others, as a share of their range."""
+
 BAND = (5.0, 95.0)
 """Percentiles at the edges of the band."""
 
@@ -39,10 +43,13 @@ def plot_comparison(
     all_runs = [run for of_loop in runs.values() for run in of_loop]
     figure, axes = make_panels([PANEL] * max(len(names), 1), figure)
     for axis, name in zip(axes, names, strict=False):
+        bands: dict[str, Floats] = {}
         for i, (loop, of_loop) in enumerate(runs.items()):
             if of_loop:
-                _draw_loop(axis, loop, [_quantity(run, name).truth for run in of_loop], of_loop[0].time, i)
+                values = [_quantity(run, name).truth for run in of_loop]
+                bands[loop] = _draw_loop(axis, loop, values, of_loop[0].time, i)
         _draw_reference(axis, all_runs, name)
+        _leave_out_the_lost(axis, bands, all_runs, name)
         _shade(axis, all_runs)
         legend(axis)
         if all_runs:
@@ -57,11 +64,35 @@ def plot_comparison(
     return figure
 
 
-def _draw_loop(axis: Axes, loop: str, values: Sequence[Any], time: Floats, i: int) -> None:
-    low, middle, high = np.nanpercentile(np.array(values), [BAND[0], 50.0, BAND[1]], axis=0)
+def _draw_loop(axis: Axes, loop: str, values: Sequence[Any], time: Floats, i: int) -> Floats:
+    """Draw median and band of a loop, and return lower end, median and upper end of the band."""
+    lines = np.asarray(np.nanpercentile(np.array(values), [BAND[0], 50.0, BAND[1]], axis=0))
+    low, middle, high = lines
     colour = COLOURS[i % len(COLOURS)]
     axis.fill_between(time, low, high, color=colour, alpha=0.2, lw=0, zorder=2)
     axis.plot(time, middle, LINES[i % len(LINES)], color=colour, lw=1.4, zorder=4, label=loop)
+    return lines
+
+
+def _leave_out_the_lost(axis: Axes, bands: Mapping[str, Floats], runs: Sequence[LoopSignals], name: str) -> None:
+    """Limit an axis to the loops that follow the reference, if another one goes so far that these would be a flat line."""
+    references = [
+        quantity.reference for quantity in (_quantity(run, name) for run in runs) if quantity.reference is not None
+    ]
+    spans = {}
+    for loop, band in bands.items():
+        finite = np.concatenate([band[np.isfinite(band)], *references[:1]])
+        spans[loop] = float(finite.min()), float(finite.max())
+    size = min((high - low for low, high in spans.values()), default=0.0)
+    if not size:
+        return
+    lost = [loop for loop, (low, high) in spans.items() if high - low > LOST * size]
+    if not lost:
+        return
+    low, high = (pick(span[i] for loop, span in spans.items() if loop not in lost) for i, pick in enumerate((min, max)))
+    limits = low - ROOM * (high - low), high + ROOM * (high - low)
+    axis.set_ylim(limits)
+    mark_cut(axis, runs[0].time, [line for loop in lost for line in bands[loop]], limits, ", ".join(lost))
 
 
 def _draw_reference(axis: Axes, runs: Sequence[LoopSignals], name: str) -> None:

@@ -119,6 +119,26 @@ REFUSED = [
 ]
 
 
+def test_a_lost_loop_does_not_squeeze_the_others():
+    system = control.ss([[0, 1], [20, 0]], [[0], [1]], [[1, 0]], 0, inputs=["force"], outputs=["gap"])
+
+    def loop(**settings):
+        controller = controllers.design(
+            system, dt=0.01, measured="gap", actuated="force", sensors=2, sensor_std=2e-3, noise={"force": 0.1},
+            acceptable_error=0.01, acceptable_control=1.0, **settings,
+        )  # fmt: skip
+        return cosim.closed_loop(
+            system, controller, control="force", measured="gap", sensors=cosim.Sensors(2, 2e-3), reference=0.02,
+            faults=cosim.Drift(sensor=0, start=1.0, slope=0.3),
+        )  # fmt: skip
+
+    compared = cosim.compare({"default": loop(), "filter": loop(precision=FixedPrecision())}, duration=3.0, seeds=3)
+    axis = compared.plot().axes[0]
+    assert compared.table["error"][1] > 10 * compared.table["error"][0]
+    assert axis.get_ylim()[1] - axis.get_ylim()[0] < 0.05
+    assert any(each.get_text().startswith("filter cut off: ") for each in axis.texts)
+
+
 @pytest.mark.parametrize(("loops", "sentence"), REFUSED, ids=[sentence for _, sentence in REFUSED])
 def test_what_is_no_pair_is_refused(loops, sentence):
     with pytest.raises(BayesFTCError, match=sentence):
