@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from bayesftc.cli import app
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
-from bayesftc.cli.commands.recordings.monitor import _rate, _remedy
+from bayesftc.cli.commands.recordings.monitor import _remedy
 from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.switching.fault_modes import FAULT_MODES
 from bayesftc.monitoring import Alarm, Disagreement, FaultEvent, SensorErrors, Signal, align, load_monitor
@@ -80,13 +80,29 @@ def test_it_prints_the_fault_and_writes_all_files(files, tmp_path):
     assert (out / "figure.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_the_sampling_of_a_slow_sensor_is_that_between_its_gaps():
-    fast, slow = 0.1 * np.arange(600), np.concatenate([np.arange(0.0, 20.0, 2.0), np.arange(40.0, 60.0, 2.0)])
-    signals = {name: Signal(time, np.ones(len(time))) for name, time in (("a", fast), ("b", slow))}
-    recordings = [align(signals, {}, dt=dt) for dt in (0.1, 1.0)]
-    assert [round(_rate(each, 1), 9) for each in recordings] == [0.5, 0.5]
-    assert _rate(recordings[0], 0) == pytest.approx(10.0)
-    assert _rate(recordings[1], 0) == pytest.approx(600 / 61)  # several in one step
+@pytest.mark.usefixtures("undrawn")
+def test_the_table_has_the_interval_of_each_sensor_and_a_step_that_loses_no_sample(files, tmp_path):
+    """Sensors send every 10 s, with jitter, in a log without some samples, whatever the step of the model is."""
+    rng = np.random.default_rng(0)
+    table = pd.read_csv(files[0])
+    table.t = np.round(10.0 * np.arange(600) + rng.uniform(-1, 1, 600), 1)
+    table.loc[rng.random(600) < 0.1, "c"] = np.nan
+    table.to_csv(files[0], index=False)
+
+    def printed(dt):
+        (tmp_path / "model.toml").write_text(MODEL.replace("dt = 0.1", f"dt = {dt}"), encoding="utf-8")
+        done = RUNNER.invoke(app, ["monitor", *files])
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    words = printed(20)
+    assert re.findall(r"([abc]) +\d+ +every (\S+) s", words) == [("a", "10"), ("b", "10"), ("c", "10")]
+    advised = re.search(r"Fewer\s+are\s+left\s+out\s+with\s+dt\s+=\s+(\S+)\s+in\s+the\s+model\s+file\.", words)
+    assert advised is not None
+    words = printed(advised[1])
+    assert "eft out:" not in words
+    assert re.findall(r"([abc]) +\d+ +every (\S+) s", words) == [("a", "10"), ("b", "10"), ("c", "10")]
+    assert "eft out:" in printed(9.99)  # hardly shorter than the interval is not enough
 
 
 @pytest.mark.usefixtures("undrawn")

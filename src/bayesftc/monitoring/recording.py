@@ -19,6 +19,7 @@ from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.recordings.held import without_held
+from bayesftc.cosim.base.recordings.intervals import typical_interval
 from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show, spoken
@@ -206,6 +207,8 @@ class Recording:
         The instant of time 0, if the times were dates.
     bias, gain : tuple of float
         What was subtracted from the samples of each sensor, and what they were divided by after that; empty if nothing was done.
+    interval : tuple of float
+        Seconds from one sample of each sensor to the next, if none is missing; empty if not known.
 
     Examples
     --------
@@ -231,6 +234,7 @@ class Recording:
     origin: datetime | None = None
     bias: tuple[float, ...] = ()
     gain: tuple[float, ...] = ()
+    interval: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
@@ -248,7 +252,7 @@ class Recording:
 
     def of_sensors(self, kept: Sequence[int]) -> Recording:
         """Return the recording of some of its sensors, by their numbers, in this order."""
-        names = ("sensors", "loss", "resolution", "replaced", "units", "bias", "gain")
+        names = ("sensors", "loss", "resolution", "replaced", "units", "bias", "gain", "interval")
         fields: dict[str, Any] = {name: getattr(self, name) for name in names}
         chosen: dict[str, Any] = {name: tuple(values[i] for i in kept) for name, values in fields.items() if values}
         return replace(self, y=self.y[:, list(kept)], **chosen)
@@ -333,7 +337,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         )
     _warn_of_a_late_sensor(sensors, start, end, origin)
     steps = int(np.rint((end - start) / float(step))) + 1
-    y, loss, replaced = np.full((steps, len(sensors)), np.nan), [], []
+    y, loss, replaced, interval = np.full((steps, len(sensors)), np.nan), [], [], []
     for i, signal in enumerate(sensors.values()):
         time, values = signal.corrected
         at = np.rint((time - start) / float(step)).astype(np.int64)
@@ -341,6 +345,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         y[at[inside], i] = values[inside]
         replaced.append(int(inside.sum() - np.isfinite(y[:, i]).sum()))
         loss.append(expected_loss(time, step))
+        interval.append(typical_interval(time))
     turns = Turns(signal.period for signal in sensors.values())
     if turns.needed:
         y = np.array([turns.place(row) for row in y])
@@ -367,6 +372,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         *of_inputs,
         origin,
         *subtracted,
+        interval=tuple(interval),
     )
 
 

@@ -661,6 +661,36 @@ def test_missing_samples_do_not_lengthen_the_steps(share):
     assert align(signals, {}, dt).replaced == (0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("interval", "missing"), [(60.0, 0.08), (60.005, 0.08), (0.1, 0.3), (1 / 30, 0.0), (59.99, 0.0)]
+)
+def test_no_sample_is_lost_to_a_rounded_step(interval, missing):
+    """Time stamps jitter by a fifteenth of the interval: a step that is off by a ten-thousandth loses samples of a long log."""
+    for seed in range(20):
+        rng, n = np.random.default_rng(seed), 20_000
+        times = interval * (np.arange(n) + rng.uniform(-0.07, 0.07, n))
+        signals = {name: Signal(times, np.where(rng.random(n) < missing, np.nan, 0.0), resolution=0.0) for name in "ab"}
+        dt = float(sample_time(signals))
+        assert dt == pytest.approx(interval, rel=1e-4)
+        assert sum(align(signals, {}, dt).replaced) <= 2e-3 * 2 * n
+        if interval in (60.0, 0.1):
+            assert dt == interval
+
+
+def test_the_interval_of_a_sensor_does_not_depend_on_the_step_or_on_what_is_missing():
+    rng, n = np.random.default_rng(0), 2000
+    times = np.round(60.0 * np.arange(n) + rng.uniform(-4, 4, n))
+    times[1500:] += 12_345.0  # the logger was off
+    signals = {
+        "a": Signal(times, np.where(rng.random(n) < 0.1, np.nan, 0.0), resolution=0.0),
+        "b": Signal(times[::10], np.zeros(n // 10), resolution=0.0),
+        "c": Signal(times[:1], [0.0], resolution=0.0),
+    }
+    for dt in (17.0, 50.0, 60.0, 600.0):
+        assert align(signals, {}, dt).interval == pytest.approx((60.0, 600.0, np.inf), rel=1e-3)
+        assert align(signals, {}, dt).of_sensors([1]).interval == pytest.approx((600.0,), rel=1e-3)
+
+
 def test_times_that_jitter_get_shorter_steps():
     even = Signal(np.arange(1000) / 30, np.zeros(1000), resolution=0.0)
     assert float(sample_time({"a": even})) == pytest.approx(1 / 30, rel=1e-4)

@@ -34,6 +34,10 @@ class FitSettings:
     collide: float = chosen(
         0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
     )
+    short: float = chosen(1e-4, "relative error of a sample time with few digits: one step in 10,000")
+    lost: float = chosen(
+        1e-3, "share of samples that a sample time with few digits may lose, beside those of a longer one"
+    )
     # Rounding errors.
     lasting: float = chosen(3.0, "steps from which on a rounding error is a lasting one: a shorter one is nearly white")
     # Codes of missing samples.

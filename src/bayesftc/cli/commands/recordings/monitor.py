@@ -221,7 +221,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
         count = int(np.isfinite(recording.y[:, i]).sum())
         sensors[name] = {
             "samples": count,
-            "rate": _rate(recording, i),
+            "rate": 1.0 / recording.interval[i],
             "replaced": recording.replaced[i],
             "mean_probability": float(monitored.fault_probability[:, i].mean()),
             "alarms": sum(event.sensor == name and not event.continued for event in monitored.events),
@@ -294,17 +294,18 @@ def _gaps(recording: Recording) -> str:
     )
 
 
-def _rate(recording: Recording, sensor: int) -> float:
-    """Return the samples of a sensor per second: the usual ones, without gaps, unless it has several in a step."""
-    sent = np.flatnonzero(np.isfinite(recording.y[:, sensor]))
-    if len(sent) > 1 and not recording.replaced[sensor]:
-        return 1.0 / (float(np.median(np.diff(sent))) * float(recording.dt))
-    return (len(sent) + recording.replaced[sensor]) / (len(recording.y) * float(recording.dt))
+def _shorter(recording: Recording) -> float:
+    """Return a step in which no sensor has several samples, or hardly ever: time stamps jitter, so it is half an interval."""
+    fastest = min(interval for interval, count in zip(recording.interval, recording.replaced, strict=True) if count)
+    return 0.5 * min(fastest, float(recording.dt))
 
 
 def _sampling(rate: float) -> str:
-    """Return the samples per second, or the seconds between two samples if they are more than one."""
-    return f"every {1 / rate:.4g} s" if 0 < rate < 1 else f"{rate:.4g} per second"
+    """Return the samples per second, or the seconds between two samples if they are more than one, in three digits."""
+    if not rate:
+        return output.DASH  # of a single sample
+    number = float(f"{1 / rate if rate < 1 else rate:.3g}")
+    return f"every {number:g} s" if rate < 1 else f"{number:g} per second"
 
 
 def _zone(recording: Recording) -> str:
@@ -335,7 +336,8 @@ def _print(
     console.print(sensors)
     if any(recording.replaced):
         say(
-            "Left out: if a sensor has several samples in one step, only the last one is used. A shorter dt uses more of them."
+            "Left out: if a sensor has several samples in one step, only the last one is used. "
+            f"Fewer are left out with dt = {_shorter(recording):.2g} in the model file."
         )
     if monitored.actuators:
         actuators = output.empty_table("mean probability", "alarms")
