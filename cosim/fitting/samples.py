@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.recordings.dates import other_date
-from bayesftc.cosim.base.recordings.local_dates import iso_of
+from bayesftc.cosim.base.recordings.local_dates import what_is_wrong
 from bayesftc.cosim.base.recordings.table_files import find_times
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -146,10 +146,10 @@ def _has_other_dates(table: Any, column: str) -> bool:
 def _warn_of_dates(table: Any, named: set[str]) -> None:
     """Warn of a column of dates that cannot be read, and so does not count."""
     for column in table.columns:
-        if column not in named and _has_other_dates(table, column) and (date := other_date(table[column])) is not None:
+        if column not in named and _has_other_dates(table, column):
             warn_user(
-                f"The dates in {column!r}, such as {date!r}, are not in the form of ISO 8601 and do not "
-                f"count: each row is one step of dt, and gaps are lost. Write the dates as {iso_of(date)}."
+                f"The dates in {column!r} do not count: each row is one step of dt, and gaps are lost. The dates, such as "
+                f"{what_is_wrong(table[column])}."
             )
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.recordings.columns import column_called
-from bayesftc.cosim.base.recordings.dates import are_dates, other_date
-from bayesftc.cosim.base.recordings.local_dates import iso_of
+from bayesftc.cosim.base.recordings.dates import are_dates
+from bayesftc.cosim.base.recordings.local_dates import what_is_wrong
 from bayesftc.cosim.base.recordings.table_files import TIMES, read_table_file, times_in
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, did_you_mean
@@ -144,11 +144,8 @@ def times_of(table: pd.DataFrame, time: str | None) -> Floats:
             f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
     single = list(table.columns).count(time) == 1
-    if single and (date := other_date(table[time])) is not None:
-        raise StepSizeError(
-            f"The dates in {time!r}, such as {date!r}, are not in the form of ISO 8601. Write them as {iso_of(date)}, or give "
-            "only dt= in seconds."
-        )
+    if single and (wrong := what_is_wrong(table[time])) is not None:
+        raise StepSizeError(f"The dates in {time!r}, such as {wrong}, or give only dt= in seconds.")
     if not single or (table[time].dtype.kind not in "fiu" and not are_dates(table[time])):
         raise StepSizeError(
             f"The column {time!r} does not contain numbers. Convert the times to seconds, or give dt= in seconds."

@@ -1,6 +1,6 @@
 """Dates in other forms, as in ``28.03.2026 08:00:00``, ``3/28/26 8:00 AM`` and ``2026/3/28 8:00``: they become ISO 8601.
 
-If day or month are first, only where a column shows which of the two it is.
+With points between the numbers, the day is first. With other signs a column must show which of the two it is.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ _CENTURY, _FIRST_YEAR = 100, 69
 def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
     """Return a column with its dates in the form of ISO 8601, and inform the user, if they have another one; else the column.
 
-    The year is first, or last; with two digits it is from 1969 to 2068. If it is last: where a date such as 28.03.2026 is among
-    them, the first number of all is the day; where one such as 03/28/2026 is, the month. Where all of them could be read in
-    several ways, as 01.03.2026 can, or a text is no such date, nothing changes. So can 28.03.26 alone, which may be a day of
-    2028: there must be more days than years, or a year that is no day.
+    The year is first, or last; with two digits it is from 1969 to 2068. If it is last: where a date such as 28/03/2026 is among
+    them, the first number of all is the day; where one such as 03/28/2026 is, the month. Else the day is first where points
+    separate the numbers, as in 01.03.2026. Where all of them could be read in several ways, as 01/03/2026 can, or a text is no
+    such date, nothing changes. So can 28.03.26 alone, which may be a day of 2028: there must be more days than years, or a year
+    that is no day.
 
     Parameters
     ----------
@@ -59,9 +60,11 @@ def with_iso_dates(cells: pd.Series[Any], source: str) -> pd.Series[Any]:
     clock = clock_of_day(parts)
     if clock is None or first.isna().any() or min(first.max(), second.max()) > _MONTHS:
         return cells
-    if form is _YEAR_LAST and max(first.max(), second.max()) <= _MONTHS:
+    undecided = max(first.max(), second.max()) <= _MONTHS
+    if form is _YEAR_LAST and undecided and not (parts["sign"] == ".").all():
         return cells
-    which, day, month = ("day", "first", "second") if first.max() > _MONTHS else ("month", "second", "first")
+    day_first = first.max() > _MONTHS or (form is _YEAR_LAST and undecided)
+    which, day, month = ("day", "first", "second") if day_first else ("month", "second", "first")
     if which == "day" and year.between(1, _DAYS).all() and first.nunique() <= year.nunique():  # the year may be first
         return cells
     dates = _whole(year).astype(str) + "-" + parts[month].str.zfill(2) + "-" + parts[day].str.zfill(2)
@@ -105,13 +108,31 @@ def iso_of(date: str) -> str:
     """Return a date of another form as ISO 8601, as an example for messages; a date of our own if it can be read in two ways."""
     import pandas as pd
 
-    numbers = re.match(r"\s*(\d{1,2})[./-](\d{1,2})[./-]\d{4}", date)
-    if numbers is None or max(map(int, numbers.groups())) <= _MONTHS:
+    numbers = re.match(r"\s*(\d{1,2})([./-])(\d{1,2})[./-]\d{4}", date)
+    if numbers is None or (numbers[2] != "." and max(int(numbers[1]), int(numbers[3])) <= _MONTHS):
         return ISO
     try:
-        return f"{pd.to_datetime(date, dayfirst=int(numbers[1]) > _MONTHS):%Y-%m-%d %H:%M:%S}"
+        return f"{pd.to_datetime(date, dayfirst=int(numbers[3]) <= _MONTHS):%Y-%m-%d %H:%M:%S}"
     except ValueError:
         return ISO
 
 
-__all__ = ["CLOCK", "clock_of_day", "day_first_date", "iso_of", "with_iso_dates"]
+def what_is_wrong(cells: pd.Series[Any]) -> str | None:
+    """Return why the dates of a column are not read, and what to do; None if it has no dates of another form than ISO 8601.
+
+    It is the end of a sentence that begins with "The dates in 'Zeit', such as ", and one that can go on.
+    """
+    date = other_date(cells)
+    if date is None:
+        return None
+    parts = cells.dropna().astype(str).str.extract(f"^{_YEAR_LAST}$")
+    undecided = parts[["first", "second"]].apply(lambda numbers: numbers.astype(float) <= _MONTHS).all(axis=None)
+    why, how = "", ""
+    if undecided and (parts["sign"] != ".").any():
+        why = ", and no number above 12 shows whether the day or the month is first"
+        how = " and its dayfirst"
+    remedy = f"Write them as {iso_of(date)}, for example with pandas.to_datetime{how}"
+    return f"{date!r}, are not in the form of ISO 8601{why}. {remedy}"
+
+
+__all__ = ["CLOCK", "clock_of_day", "day_first_date", "iso_of", "what_is_wrong", "with_iso_dates"]

@@ -23,7 +23,7 @@ from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
 from bayesftc.cosim.base.recordings.held import least_change
-from bayesftc.cosim.base.recordings.local_dates import iso_of, with_iso_dates
+from bayesftc.cosim.base.recordings.local_dates import iso_of, what_is_wrong, with_iso_dates
 from bayesftc.cosim.base.recordings.split_times import joined_times
 from bayesftc.cosim.base.recordings.table_files import exact_numbers, in_seconds, since_1970, time_column
 from bayesftc.cosim.errors import RecordingError, did_you_mean
@@ -131,9 +131,9 @@ class Tables:
         """Return whether a column, by its number, has dates."""
         return are_dates(self._table(file)[1][column])
 
-    def other_date(self, file: Path, column: int) -> str | None:
-        """Return the first date of a column, by its number, if its dates have another form than ISO 8601."""
-        return other_date(self._table(file)[1][column])
+    def wrong_dates(self, file: Path, column: int) -> str | None:
+        """Return why the dates of a column, by its number, are not read, if they have another form than ISO 8601."""
+        return what_is_wrong(self._table(file)[1][column])
 
     def find(self, name: str | None, signal: str) -> Path:
         """Return the file with this name, or the only file if no name is given; `signal` begins the error message."""

@@ -358,7 +358,6 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         *((float(signal.resolution or 0.0) / abs(signal.gain), signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
-    subtracted = tuple(tuple(float(getattr(s, name)) for s in sensors.values()) for name in ("bias", "gain"))
     return Recording(
         start,
         step,
@@ -371,7 +370,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         units,
         *of_inputs,
         origin,
-        *subtracted,
+        bias=tuple(float(signal.bias) for signal in sensors.values()),
+        gain=tuple(float(signal.gain) for signal in sensors.values()),
         interval=tuple(interval),
     )
 

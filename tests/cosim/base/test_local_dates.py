@@ -1,4 +1,6 @@
-"""Dates with day or month first are read where a number above 12 shows which is the day; all others stay as they are."""
+"""Dates with day or month first are read where points, or a number above 12, show which is the day; others stay as they are."""
+
+import re
 
 import numpy as np
 import pandas as pd
@@ -17,6 +19,11 @@ from bayesftc.cosim.errors import RecordingError
     [
         (["28.03.2026 08:00:00", "1.4.2026 9:05:00,5"], ["2026-03-28 08:00:00", "2026-04-01 09:05:00.5"]),
         (["01/03/2026T08:00", None, "13/03/2026T08:00"], ["2026-03-01 08:00", None, "2026-03-13 08:00"]),
+        (
+            ["01.03.2026 08:00", "2.3.2026 08:00"],
+            ["2026-03-01 08:00", "2026-03-02 08:00"],
+        ),  # with points the day is first
+        (["01.03.26 08:00", "02.03.26 08:00"], ["2026-03-01 08:00", "2026-03-02 08:00"]),
         (["28-03-2026", "29-03-2026"], ["2026-03-28", "2026-03-29"]),
         (["28.03.2026 8:00 PM", "28.03.2026 12:05 am"], ["2026-03-28 20:00", "2026-03-28 00:05"]),
         (["28.03.26 8:00", "1.4.26 8:00"], ["2026-03-28 08:00", "2026-04-01 08:00"]),
@@ -39,7 +46,9 @@ def test_one_day_above_12_decides_for_all(given, written, caplog):
 @pytest.mark.parametrize(
     "cells",
     [
-        ["01.03.2026 08:00", "02.03.2026 08:00"],  # the second may be the day
+        ["01/03/2026 08:00", "02/03/2026 08:00"],  # the second may be the day
+        ["01-03-2026 08:00", "02-03-2026 08:00"],
+        ["01.03.2026", "02/03/2026"],
         ["03/04/2026 08:00 AM", "03/05/2026 08:00 AM"],
         ["13.03.2026", "03.13.2026"],
         ["28.03.2026", "29.03.2026", "noon"],
@@ -97,11 +106,25 @@ def test_one_date_with_the_day_first(text, date):
 def test_a_refusal_has_the_users_own_date_where_it_is_certain(tmp_path):
     assert iso_of("03/29/2026 08:15 PM") == "2026-03-29 20:15:00"
     assert iso_of("29.03.2026 08:15") == "2026-03-29 08:15:00"
-    assert iso_of("01.03.2026 08:15") == iso_of("28-Mär-2026") == iso_of("29.03.2026 08.15 noon") == ISO
+    assert iso_of("01.03.2026 08:15") == "2026-03-01 08:15:00"
+    assert iso_of("01/03/2026 08:15") == iso_of("28-Mär-2026") == iso_of("29.03.2026 08.15 noon") == ISO
     file = tmp_path / "tank.csv"
     file.write_text("t,a,b\n03/29/2026 00:30 +01:00,1,2\n03/29/2026 00:31 +01:00,1,2\n")
-    with pytest.raises(RecordingError, match=r"Write them as 2026-03-29 00:30:00, for example with pandas"):
+    with pytest.raises(
+        RecordingError, match=r"of ISO 8601. Write them as 2026-03-29 00:30:00, for example with pandas"
+    ):
         monitoring.redundant_signals([file])
+
+
+def test_a_refusal_says_that_no_number_shows_the_day(tmp_path):
+    file = tmp_path / "tank.csv"
+    rows = "".join(f"03/0{k}/2026 00:30,{k},2\n" for k in range(1, 9))
+    file.write_text(f"t,a,b\n{rows}")
+    why = "such as '03/01/2026 00:30', are not in the form of ISO 8601, and no number above 12 shows whether the day or the month"
+    with pytest.raises(RecordingError, match=re.escape(why)):
+        monitoring.redundant_signals([file])
+    file.write_text(f"t,a,b\n{rows}03/13/2026 00:30,9,2\n")
+    assert str(monitoring.redundant_signals([file])[1]["a"].origin) == "2026-03-01 00:30:00"
 
 
 @pytest.mark.parametrize(

@@ -741,8 +741,8 @@ def test_every_choice_of_the_fit_has_a_reason_and_is_made_somewhere():
     ("text", "words"),
     [
         (
-            "t,a,b\n01.03.2026 12:00,1,1\n",
-            r"column 't', such as '01.03.2026 12:00', are not in the form of ISO 8601. Write them as 2026-03-28 08:00:00",
+            "t,a,b\n01-Mar-2026 12:00,1,1\n",
+            r"column 't', such as '01-Mar-2026 12:00', are not in the form of ISO 8601. Write them as 2026-03-28 08:00:00",
         ),
         ("Zeit,a,b\n12:00,1,1\n12:01,2,2\n", r"the first, 'Zeit', has no number. Name the column of times 't'"),
         ("Zeit,a,b\n1,1,1\n1,2,2\n", r"the first, 'Zeit', does not increase"),

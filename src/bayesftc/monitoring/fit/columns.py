@@ -17,7 +17,6 @@ from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.held import is_held
 from bayesftc.cosim.base.recordings.intervals import usual_intervals
-from bayesftc.cosim.base.recordings.local_dates import iso_of
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, brief, did_you_mean
@@ -211,11 +210,8 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
     every = tables.names(file)
     named = time_column(every)
     first = every.index(named) if named is not None and every.count(named) == 1 else 0
-    if (date := tables.other_date(file, first)) is not None:
-        raise RecordingError(
-            f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {date!r}, are not in the form of ISO 8601. "
-            f"Write them as {iso_of(date)}, for example with pandas.to_datetime."
-        )
+    if (wrong := tables.wrong_dates(file, first)) is not None:
+        raise RecordingError(f"{os.fspath(file)}: the dates in the column {every[first]!r}, such as {wrong}.")
     if (name := time_column(every)) is not None:
         return name
     if tables.has_dates(file, 0):
