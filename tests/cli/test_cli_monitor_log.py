@@ -162,17 +162,23 @@ def test_a_column_is_named_without_its_unit(table, tmp_path):
     assert "no column 'TT-4' with numbers" in words(invoke(*arguments, "--sensor", "TT-4", code=16))
 
 
-@pytest.mark.slow
-def test_the_fitted_motion_has_a_unit(table, tmp_path):
+def test_the_fitted_motion_is_that_of_the_samples_and_has_a_unit(table, tmp_path):
     log = write(tmp_path, table)[1]
     done = invoke("monitor", log, "--fit", "--model", tmp_path / "walk.toml", "--to", 1400)
-    assert "degC in one second (RandomWalk)." in done.stdout
+    change = re.search(
+        r"changes by about (\S+) degC from one sample to the next \(5 s\), at random \(Rand", words(done)
+    )
+    assert change is not None
+    assert float(change[1]) == pytest.approx(0.05, rel=0.3)  # of the fixture
     assert "Noise, lasting errors, bias and resolution are in degC." in done.stdout
-    assert "of its change in one second, in degC\n" in (tmp_path / "walk.toml").read_text(encoding="utf-8")
+    text = (tmp_path / "walk.toml").read_text(encoding="utf-8")
+    assert f"of its change in one second, in degC; in 5 s: {change[1]}\n" in text
     smooth = 60.0 + 20.0 * np.sin(np.arange(600) / 40)
     log = write(tmp_path, table.assign(**{name: table[name] - table[SENSORS[0]] + smooth for name in SENSORS}))[1]
     done = invoke("monitor", log, "--fit", "--model", tmp_path / "rate.toml", "--to", 1400)
-    assert "degC/s in one second (ConstantRate)." in done.stdout
+    assert re.search(
+        r"The rate .* degC/s from one sample to the next \(5 s\), at random \(ConstantRate\)\.", words(done)
+    )
 
 
 @pytest.mark.slow

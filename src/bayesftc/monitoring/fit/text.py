@@ -60,7 +60,7 @@ def as_model_file(
         *([f"joint = true  # sensors are judged together: {_why_joint(fitted)}"] if fitted.joint else []),
         "",
         "[model]",
-        *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else ""),
+        *_plant(fitted, recording.units[0] if len(set(recording.units)) == 1 else "", float(recording.dt)),
     ]
     for name, sensor in fitted.sensors.items():
         place = places[name]
@@ -121,10 +121,10 @@ def _span(recording: Recording, stretch: slice) -> str:
     return span_text(within[0], within[-1], recording.origin)
 
 
-def _plant(fitted: FittedModel, unit: str) -> list[str]:
+def _plant(fitted: FittedModel, unit: str, dt: float) -> list[str]:
     kind, std = type(fitted.plant).__name__, _number(fitted.plant.std)
     if fitted.belief is None:
-        of = f", in {unit}" if unit else ""
+        of = (f", in {unit}" if unit else "") + f"; in {dt:.10g} s: {fitted.plant.std * dt**0.5:.2g}" * (dt != 1.0)
         return [
             f'kind = "{kind}"  # a quantity that changes at random',
             f"std = {std}  # of its change in one second{of}",

@@ -26,7 +26,6 @@ from bayesftc.monitoring import (
     FittedModel,
     Monitor,
     Place,
-    RandomWalk,
     Recording,
     Signal,
     as_model_file,
@@ -407,7 +406,7 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     console, say = output.sayer()
     say("Fitted model", "bold")
     unit = next(iter(recording.units)) if len(set(recording.units)) == 1 else ""
-    say(_motion(fitted, unit))
+    say(_motion(fitted, unit, float(recording.dt)))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     errors = lasting_errors(fitted)
     for name, sensor in fitted.sensors.items():
@@ -450,11 +449,13 @@ def _gaps(recording: Recording) -> str:
     return f"The gaps ({silent / len(recording.y):.0%} of the steps) are not counted as missing." if silent else ""
 
 
-def _motion(fitted: FittedModel, unit: str) -> str:
-    change = f"{fitted.plant.std:.3g} {unit}".rstrip()
+def _motion(fitted: FittedModel, unit: str, dt: float) -> str:
+    """Return a sentence about the motion from one step to the next: a random walk has no change per second."""
+    what, plant = (
+        ("The rate of the quantity", f"{unit}/s" if unit else "per second") if fitted.belief else ("The quantity", unit)
+    )
+    change = f"{fitted.plant.std * dt**0.5:.2g} {plant}".rstrip()
+    how = f"from one sample to the next ({dt:g} s), at random ({type(fitted.plant).__name__})."
     if not fitted.moves:
-        return f"From sample to sample no motion is visible above the noise. It may be {change} in one second (RandomWalk)."
-    if type(fitted.plant) is RandomWalk:
-        return f"The quantity changes by {change} in one second (RandomWalk)."
-    rate = f"{fitted.plant.std:.3g} {unit}/s" if unit else f"{fitted.plant.std:.3g} per second"
-    return f"The rate of the quantity changes by {rate} in one second (ConstantRate)."
+        return f"From sample to sample no motion is visible above the noise. {what} may change by about {change} {how}"
+    return f"{what} changes by about {change} {how}"
