@@ -647,7 +647,11 @@ def test_a_value_in_place_of_samples_is_named_and_can_be_left_out(tmp_path):
     table = pd.read_csv(tmp_path / "flight.csv").rename(columns={"lidar": "lidar [cm]", "baro": "baro [m]"})
     table["lidar [cm]"] = np.where(table["lidar [cm]"] > 8, -1, 100 * table["lidar [cm]"]).round(1)
     table.to_csv(tmp_path / "flight.csv", index=False)
-    (note,) = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    note, one_by_one = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    assert one_by_one.startswith(
+        "The model file has no joint = true, because of lidar [cm]: sensors are judged one by one"
+    )
+    assert "fit with --invalid as said above" in one_by_one
     share = f"{np.mean(table['lidar [cm]'] == -1):.0%}"
     assert f"is exactly -1 in {share} of its samples, while the other sensors of its quantity are not near -1." in note
     assert "add --invalid 'lidar [cm]=-1'" in note
@@ -693,7 +697,8 @@ def test_an_invalid_value_that_cannot_be_is_refused(tmp_path, options, words):
 def test_a_column_that_does_not_follow_is_named(tmp_path):
     rng = np.random.default_rng(1)
     command = flown(tmp_path, sonar=3 + 0.5 * rng.standard_normal(3000))
-    (note,) = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    note, one_by_one = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)["notes"]
+    assert one_by_one.startswith("The model file has no joint = true, because of sonar: sensors are judged one by one")
     assert re.match(
         r"sonar does not follow the other sensors: while they move by 1, it moves by -?0\.?\d*\. Motion ", note
     )
@@ -716,7 +721,7 @@ def test_a_column_that_moves_the_other_way_is_named_with_what_to_write(tmp_path)
     assert "'c' moves the other way than the others" in refused
     assert float(re.search(r"gain = -1\.0, bias = ([\d.]+), and its std", refused)[1]) == pytest.approx(40.0, abs=0.1)
     swings = 15 + 0.9 ** (t[:, None] - t[None]).clip(0) * (t[:, None] >= t[None]) @ rng.standard_normal(3000)
-    (note,) = json.loads(said(swings).stdout)["notes"]
+    note, _ = json.loads(said(swings).stdout)["notes"]
     assert note.startswith("c does not follow the other sensors: while they move by 1, it moves by -")
     bias = float(re.search(r"write gain = -1\.0 and bias = ([\d.]+) below \[sensors\.c\]", note)[1])
     assert bias == pytest.approx(40.0, abs=0.5)
@@ -729,7 +734,7 @@ def test_a_column_in_degrees_fahrenheit_is_named(tmp_path):
     table["b"] = 1.8 * table["b"] + 32
     table.round(2).to_csv(tmp_path / "plant.csv", index=False)
     command = ["monitor", str(tmp_path / "plant.csv"), "--fit", "--model", str(tmp_path / "model.toml"), "--json"]
-    (note,) = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
+    note, _ = json.loads(RUNNER.invoke(app, command).stdout)["notes"]
     assert note.startswith("b does not follow the other sensors: while they move by 1, it moves by 1.8. ")
     assert (
         "A factor of 1.8 is that from degC to degF. If these are the units, name the columns 'b [degF]' and 'a [degC]'"

@@ -76,6 +76,25 @@ def test_what_repeats_otherwise_is_no_code(change):
         assert codes(recording(y)) == {}
 
 
+def test_a_freeze_is_no_code_where_its_value_comes_by_chance_as_well():
+    """The quantity jumps up and down while a sensor is frozen; it sends this value at some other times, too, as is usual."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        level = 6 + 2.0 * np.sign(np.sin(2 * np.pi * (np.arange(N) + 0.5) / 1000))
+        healthy = level[:, None] + rng.standard_normal((N, 3)) * 0.03
+        frozen_, coded = healthy.copy(), healthy.copy()
+        frozen_[1495:1800, 0] = frozen_[1494, 0]
+        assert np.sum(frozen_[:1400, 0].round(3) == frozen_[1494, 0].round(3)) >= 3
+        for share in (1.0, 0.8):  # with or without gaps
+            y = np.where(rng.random(frozen_.shape) < share, frozen_, np.nan)
+            assert codes(recording(y)) == {}
+            assert fit_model(recording(y), slice(0, 1000)).joint
+        for begin in (500, 1500, 2500):
+            coded[begin : begin + 130, 0] = frozen_[100, 0]  # a value that healthy samples have
+        assert list(codes(recording(coded))) == ["s0"]
+        assert not fit_model(recording(coded)).joint
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("code", [-9999.0, 65535.0, 850.0])
 @pytest.mark.parametrize("steps", [slice(900, 910), slice(40, None, 400)])

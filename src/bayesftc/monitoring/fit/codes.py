@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from bayesftc.monitoring.fit.columns import recorded
 from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording, Signal
+
+if TYPE_CHECKING:
+    from bayesftc.cosim.judging.signals import Flags
 
 
 class Code(NamedTuple):
@@ -28,8 +31,9 @@ def codes(recording: Recording) -> dict[str, Code]:
     """Return the sensors with a value that seems to stand for a missing sample.
 
     It is the most frequent value of a sensor, sent at several separate times, while the other sensors are far from it. A frozen
-    sensor repeats a value as well, but once, and values of a coarse resolution are near the others. Where no other sample of the
-    sensor is near it, a rare value is a code as well; far outside of them, also one that is sent in one stretch.
+    sensor repeats a value as well, but begins with its last good sample, near the others: such a stretch does not count, and
+    values of a coarse resolution are near the others, too. Where no other sample of the sensor is near it, a rare value is a code
+    as well; far outside of them, also one that is sent in one stretch.
     """
     level = median(recording.y, 1)
     span = float(np.subtract(*np.nanquantile(level, [0.95, 0.05])))
@@ -72,20 +76,30 @@ def _code(y: Floats, i: int, span: float) -> Code | None:
     likely = frequent | ((counts >= FIT.code_few) & (nearest > FIT.code_span * span))
     for k in sorted(np.flatnonzero(likely), key=lambda k: -counts[k]):
         sent = values == every[k]
-        times = int(sent[0]) + int((np.diff(sent.astype(int)) == 1).sum())
         if sent.all():
             continue
         bias = float(np.median(apart[~sent]))
         usual = MAD * float(np.median(np.abs(apart[~sent] - bias)))
-        away = float(np.quantile(np.abs(apart[sent] - bias), 0.1))
         least = max(FIT.code_far * usual, FIT.code_span * span)
+        counted, times = _begun_far(sent, np.abs(apart - bias) > least)
+        if not times:
+            continue
+        away = float(np.quantile(np.abs(apart[counted] - bias), 0.1))
         own = float(np.subtract(*np.quantile(values[~sent], [0.995, 0.005])))
-        often = times >= (FIT.code_times if frequent[k] else FIT.code_few)
-        alone = frequent[k] or nearest[k] > least
+        common = bool(frequent[k]) and counted.sum() >= FIT.code * len(values)
+        often = times >= (FIT.code_times if common else FIT.code_few)
+        alone = common or nearest[k] > least
         outside = min(float(nearest[k]), away) > FIT.code_outside * max(span, own) > 0
         if (often and alone and away > least) or outside:
-            return Code(float(every[k]), float(sent.mean()))
+            return Code(float(every[k]), float(counted.mean()))
     return None
+
+
+def _begun_far(sent: Flags, far: Flags) -> tuple[Flags, int]:
+    """Return where a value is sent in stretches whose first sample is far from the other sensors, and their number."""
+    begins = sent & ~np.concatenate([[False], sent[:-1]])
+    counted = np.concatenate([[False], far[begins]])[np.cumsum(begins)]
+    return sent & counted, int(far[begins].sum())
 
 
 def without_codes(recording: Recording) -> Recording:

@@ -148,6 +148,7 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             f"{model} exists already, with another content. Add --overwrite to replace it, name another file with --model, or "
             f"give --model {model} without --fit to use it."
         )
+    found = codes(samples)
     with output.staged(model.parent) as stage:
         (stage / model.name).write_text(text, encoding="utf-8")
     return FittedFiles(
@@ -157,8 +158,9 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_without_numbers(tables, part),
             *_angles(places),
             *slow.values(),
-            *_codes({**codes(samples), **turned}, samples, tables, places),
+            *_codes({**found, **turned}, samples, tables, places),
             *_strangers(fitted),
+            *_one_by_one(fitted, [*found]),
             *_changes(fitted, samples, stretch),
             *_parted(fitted, samples, stretch),
             *_gains(fitted, samples, stretch, model),
@@ -246,6 +248,19 @@ def _strangers(fitted: FittedModel) -> Iterator[str]:
             "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
             f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}{_opposite(fitted, name, slope)}"
         )
+
+
+def _one_by_one(fitted: FittedModel, coded: Sequence[str]) -> Iterator[str]:
+    """Give a note that sensors are not judged together, and what to do."""
+    if fitted.joint:
+        return
+    names, how = (
+        (coded, "with --invalid") if fitted.coded else (fitted.strangers, "other columns (--sensor) or another stretch")
+    )
+    yield (
+        f"The model file has no joint = true, because of {' and '.join(names)}: sensors are judged one by one, and healthy ones "
+        f"are blamed more often than if they are judged together. For that, fit {how} as said above."
+    )
 
 
 def _opposite(fitted: FittedModel, name: str, slope: float) -> str:
