@@ -146,6 +146,38 @@ def test_two_failures_from_one_cause_are_no_reason_to_suspect_the_model():
     assert found(y)[1] is None
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", [0, 1, 2, 4])
+@pytest.mark.parametrize("walk", [0.05, 0.02])
+def test_sensors_that_agree_after_one_of_two_has_failed_are_no_reason_to_suspect_the_model(seed, walk):
+    """One of two drifts by 2 degC and recovers at once: the belief has followed it, so that then both are blamed, and agree."""
+    rng, n = np.random.default_rng(seed), 4000
+    level = 18.0 + np.cumsum(walk * rng.standard_normal(n))
+    y = (level[:, None] + 0.2 * rng.standard_normal((n, 2))).round(1)
+    drift = slice(1800, 2640)
+    y[drift, 0] += np.linspace(0.0, 2.1, 840).round(1)
+    signals = {name: Signal(60.0 * np.arange(n), y[:, i]) for i, name in enumerate("ab")}
+    monitor, recording = Monitor.fit(signals)
+    monitored = monitor.run(recording)
+    assert suspect_model(monitor, monitored) is None
+    assert doubtful_alarms(monitor, monitored) == ()
+    blamed = monitored.fault_probability[drift.stop :].min(axis=1) > monitor.alarm.threshold
+    notes = [*suspect.failed_before(monitor, monitored)]
+    assert len(notes) == (blamed.sum() > suspect.LEAST_SAMPLES)
+    for note in notes:
+        begin, end = map(float, re.findall(r"from about (\S+) to (\S+) s", note)[0])
+        assert 60.0 * drift.start < begin < 60.0 * drift.stop
+        assert end == pytest.approx(60.0 * drift.stop, abs=60.0 * 30)
+
+
+def test_a_wrong_model_is_suspected_although_a_sensor_fails_elsewhere():
+    y = samples()
+    y[500:, 0] += 2.0
+    suspicion = found(y, RandomWalk(std=0.003))[1]
+    assert suspicion.setting == "motion"
+    assert suspicion.sentence.startswith("Suspect the model, not the sensors: ")
+
+
 @pytest.mark.parametrize("third", [True, False])
 def test_sensors_without_samples_at_the_same_steps_are_no_evidence(third, monkeypatch):
     monkeypatch.setitem(globals(), "STEPS", 9000)

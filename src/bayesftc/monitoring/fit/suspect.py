@@ -115,8 +115,10 @@ def suspect_model(monitor: Monitor, monitored: Monitored) -> ModelSuspicion | No
     It is, if redundant sensors agree within the noise of the model, but are blamed at the same time: for a fiftieth of the
     recording, or twice for a shorter time if more motion ends it. The monitor runs again with more motion, up to the least factor
     with which this ends. It is as well, if all sensors of a quantity agree and are blamed at once, even briefly: then the
-    sentence also names the other reading, a fault that they have in common. The model may be wrong, if most sensors are blamed
-    for most of the time: then their noise, or biases, are compared with the model's. Frozen sensors and dropouts do not count.
+    sentence also names the other reading, a fault that they have in common. Where sensors differed before, in an alarm that lasts
+    until they are blamed together, one of them has failed, and this time does not count. The model may be wrong, if most sensors
+    are blamed for most of the time: then their noise, or biases, are compared with the model's. Frozen sensors and dropouts do
+    not count.
 
     Parameters
     ----------
@@ -194,7 +196,6 @@ def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent,
     True
     """
     blame, order = _Blame(monitor, monitored), monitored.recording.sensors
-    blamed = _blamed(monitored, monitor.alarm.threshold)
 
     def together(event: FaultEvent) -> bool:
         i = order.index(event.sensor)
@@ -202,10 +203,23 @@ def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent,
         if not blame.agreeing:
             return i in blame.sensors and bool(blame.when[part].mean() >= MOST_TIME)
         pairs = [pair for pair in blame.apart if i in pair]
-        often = [pair for pair in pairs if blamed[part, list(pair)].all(axis=1).mean() >= MOST_TIME]
+        often = [pair for pair in pairs if blame.together[pair][part].mean() >= MOST_TIME]
         return any(blame.agree(pair, part) for pair in often)
 
     return tuple(event for event in monitored.events if event.kind not in ELSEWHERE and together(event))
+
+
+def failed_before(monitor: Monitor, monitored: Monitored) -> Iterator[str]:
+    """Give a sentence for two sensors that are blamed together and agree, after one of them had failed."""
+    blame, time, origin = _Blame(monitor, monitored), monitored.time, monitored.recording.origin
+    for pair, (first, begin) in blame.faults.items():
+        one, other = (monitored.recording.sensors[i] for i in pair)
+        if {*pair} in map(set, blame.model.alike):
+            yield (
+                f"Before {one} and {other} are blamed at the same time, they differ: from about "
+                f"{span_text(float(time[first]), float(time[begin]), origin)}. One of them has failed in this time, and the "
+                "belief has followed it. Two sensors do not show which one: a third sensor would tell."
+            )
 
 
 class _Moment(NamedTuple):
@@ -226,13 +240,17 @@ class _Blame:
         self.innovation = monitored.innovation
         blamed: Flags = _blamed(monitored, monitor.alarm.threshold)
         self.apart = _differences(monitor, monitored.recording, self.model)
+        self.alarms = _alarms(monitored)
+        self.together = {pair: blamed[:, pair[0]] & blamed[:, pair[1]] for pair in self.apart}
+        self.faults = self._leave_out_faults()
         self.agreeing, self.times = self._agreeing(blamed), 0
         self.sensors = sorted({i for pair in self.agreeing for i in pair})
         self.when: Flags = np.zeros(len(blamed), dtype=bool)
-        for i, j in self.agreeing:
-            self.when |= blamed[:, i] & blamed[:, j]
+        for pair in self.agreeing:
+            self.when |= self.together[pair]
         often = [int(i) for i in np.flatnonzero(blamed.mean(axis=0) > MOST_TIME)]
-        if not self.sensors and len(often) > 1 and 2 * len(often) > len(blamed.T):
+        failed = any(pair in self.faults for pair in combinations(often, 2))
+        if not self.sensors and len(often) > 1 and 2 * len(often) > len(blamed.T) and not failed:
             self.sensors, self.when = often, blamed[:, often].sum(axis=1) > 1
         self.moments = self._moments(blamed)
         if not self.sensors and self.telling:
@@ -245,6 +263,40 @@ class _Blame:
             group <= set(self.sensors) and bool(blamed[:, sorted(group)].all(axis=1).any()) for group in groups
         )
 
+    def _leave_out_faults(self) -> dict[tuple[int, int], tuple[int, int]]:
+        """Leave out when two sensors are blamed together after they have differed: one of them has failed before.
+
+        A sensor that drifts and recovers leaves a wrong belief behind. Both sensors then differ from it, and agree. For pairs
+        that are mostly blamed in this way, return from which step on they differed, and from which on both are blamed.
+        """
+        faults = {}
+        for pair, together in self.together.items():
+            left, steps = [], together.sum()
+            for begin, end in periods(together):
+                first = self._differed(pair, begin)
+                if first is not None:
+                    together[begin:end] = False
+                    left += [(first, begin, end)] if self.agree(pair, slice(begin, end)) else []
+            if 2 * sum(end - begin for _, begin, end in left) > steps:
+                faults[pair] = left[0][:2]
+        return faults
+
+    def _differed(self, pair: tuple[int, int], begin: int) -> int | None:
+        """Return from which step on two sensors differed before a step: just before it, or in an alarm that lasts until then."""
+        spans, first = {(max(begin - LEAST_SAMPLES, 0), begin)}, begin
+        while True:
+            alarms = {(a, min(b, begin)) for i, a, b in self.alarms if i in pair and a < begin and b + APART >= first}
+            if alarms <= spans:
+                break
+            spans |= alarms
+            first = min(a for a, _ in spans)
+        for a, b in sorted(spans):
+            difference = self.y[a:b, pair[0]] - self.y[a:b, pair[1]]
+            enough = 2 * np.isfinite(difference).sum() >= LEAST_SAMPLES
+            if enough and excess(difference, self.apart[pair])[0] > AGREE:
+                return a
+        return None
+
     def _agreeing(self, blamed: Flags) -> list[tuple[int, int]]:
         """Return the pairs of sensors that agree with each other while both are blamed, and with those that are not.
 
@@ -252,7 +304,7 @@ class _Blame:
         """
         pairs = []
         for (i, j), expected in self.apart.items():
-            together = blamed[:, i] & blamed[:, j]
+            together = self.together[i, j]
             difference = (self.y[:, i] - self.y[:, j])[together]
             difference = difference[np.isfinite(difference)]
             enough = len(difference) >= LEAST_SAMPLES and together.mean() >= LEAST_SHARE
@@ -262,7 +314,7 @@ class _Blame:
 
     def _contradicted(self, i: int, j: int, blamed: Flags) -> bool:
         """Return whether a healthy sensor differs from one of two while both are blamed, for most of this time."""
-        together = blamed[:, i] & blamed[:, j]
+        together = self.together[i, j]
         for (one, other), expected in self.apart.items():
             if len({one, other} & {i, j}) != 1:
                 continue
@@ -287,7 +339,7 @@ class _Blame:
             for begin, end in periods(blamed[:, members].sum(axis=1) > 1):
                 part = slice(begin, end)
                 agreed = {pair: self.agree(pair, part) for pair in combinations(members, 2)}
-                together = [p for p in agreed if agreed[p] and (blamed[part, p[0]] & blamed[part, p[1]]).any()]
+                together = [p for p in agreed if agreed[p] and self.together[p][part].any()]
                 healthy = {i for i in members if not blamed[part, i].any()}
                 named = {i for pair in together for i in pair}
                 compared = [agreed[pair] for pair in agreed if healthy & set(pair) and named & set(pair)]
@@ -359,6 +411,17 @@ def _blamed(monitored: Monitored, threshold: float) -> Flags:
         kind = np.nan_to_num(monitored.mode_probability).argmax(axis=2)
         blamed &= ~np.isin(kind, [monitored.kinds.index(name) for name in ELSEWHERE if name in monitored.kinds])
     return np.asarray(blamed)
+
+
+def _alarms(monitored: Monitored) -> list[tuple[int, int, int]]:
+    """Return sensor, first step and step after the last of each alarm, from the onset of its fault on."""
+    order, step, time = monitored.recording.sensors, float(monitored.recording.dt), monitored.time
+    found = []
+    for event in monitored.events:
+        begin = event.start if event.onset is None else min(event.onset, event.start)
+        first, last = np.searchsorted(time, [begin - step / 2, event.end + step / 2])
+        found.append((order.index(event.sensor), int(first), int(last)))
+    return found
 
 
 def _differences(monitor: Monitor, recording: Recording, model: LinearModel) -> dict[tuple[int, int], float]:

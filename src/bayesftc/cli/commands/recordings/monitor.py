@@ -46,6 +46,7 @@ from bayesftc.monitoring import (
 )
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.doubtful import lasting_errors
+from bayesftc.monitoring.fit.suspect import failed_before
 
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
@@ -184,6 +185,7 @@ def monitor(
         {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
     )
     notes = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
+    notes += [] if suspicion or (mismatch and not faults) else failed_before(loaded, monitored)
     notes += [mismatch.sentence] if mismatch is not None and faults else []
     more = turns_note(loaded, samples, model) if fitted is None else fitted.notes
     numbers["notes"] = [*notes, *more]
