@@ -39,6 +39,9 @@ LASTING = 1 / 8
 With a smaller share, an offset that is called a drift only once it has grown is two faults. The same time as for the end of an
 alarm is the least, because a learner distinguishes offset, drift and jump only some samples after the begin.
 """
+SURE_ONSET = ("Frozen",)
+"""Kinds whose onset is certain when they are found, from equal samples: later estimates only forget it."""
+
 PLAIN = ("DroppedOut",)
 """Kinds that the samples show by themselves: a change to them counts from `HOLD_SAMPLES` on."""
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
@@ -398,7 +401,9 @@ def _of(
     earlier: float | None = None
     for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
         begin, end, kind = part.begin, part.end, part.kind
-        size, onset = (last_of_kind(getattr(device, name, None), device.kind, part) for name in ("size", "onset"))
+        size = last_of_kind(getattr(device, "size", None), device.kind, part)
+        sure = _name(device.kinds, kind) in SURE_ONSET
+        onset = last_of_kind(getattr(device, "onset", None), device.kind, part, first=sure)
         scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
         if kind > len(device.sizes):  # a file of an earlier version does not say what its size is
             size = None
@@ -444,8 +449,8 @@ def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
     return chances
 
 
-def last_of_kind(values: Floats | None, most: Floats | None, part: Part) -> float | None:
-    """Return a size or an onset of a part: the last one of its kind, or None without any.
+def last_of_kind(values: Floats | None, most: Floats | None, part: Part, *, first: bool = False) -> float | None:
+    """Return a size or an onset of a part: the last one of its kind, or the first one, or None without any.
 
     Parameters
     ----------
@@ -455,11 +460,14 @@ def last_of_kind(values: Floats | None, most: Floats | None, part: Part) -> floa
         The number of that mode at each step.
     part : Part
         The part.
+    first : bool
+        Whether to return the first one; see `SURE_ONSET`.
     """
     if values is None or most is None:
         return None
     rows = part.begin + np.flatnonzero(most[part.begin : part.end] == part.kind)
-    return float(values[rows[-1]]) if len(rows) and np.isfinite(values[rows[-1]]) else None
+    row = 0 if first else -1
+    return float(values[rows[row]]) if len(rows) and np.isfinite(values[rows[row]]) else None
 
 
 def _name(kinds: Sequence[str], number: int) -> str:

@@ -94,6 +94,24 @@ def test_it_finds_what_is_in_the_recording_of_the_same_samples():
     assert (found.sensor, found.kind) == ("b", "Offset")
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_long_freeze_with_lost_samples_begins_with_its_first_repeat(seed):
+    """The learner forgets the onset in the course of hours; in these 2400 steps by 1 to 4 steps."""
+    rng, n, begin = np.random.default_rng(seed), 3200, 600
+    y = 20 + np.cumsum(0.03 * rng.standard_normal(n))[:, None] + 0.1 * rng.standard_normal((n, 3))
+    y[begin:3000, 0] = y[begin - 1, 0]
+    y = np.where(rng.random(y.shape) < 0.1, NAN, y.round(2))
+    y[:20] = 20.0 + 0.1 * rng.standard_normal((20, 3))
+    monitor = Monitor(DT, RandomWalk(std=0.1), sensors(), joint=True)
+    events = recorded(monitor, y, compiled=True).events
+    stepper = MonitorStepper(monitor)
+    live = run(stepper, y)
+    found = watched(AlarmWatch(list("abc"), stepper.estimator.precision.modes, stepper.step), live, n)
+    for event in (next(each for each in of if each.kind == "Frozen") for of in (events, found)):
+        assert event.sensor == "a"
+        assert abs(event.onset / DT - begin) < 0.9
+
+
 @pytest.mark.slow
 def test_an_angle_counts_on_as_in_a_recording():
     y = rows() - 4.0  # through 0

@@ -14,6 +14,7 @@ from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.judging.findings import (
+    SURE_ONSET,
     Part,
     alarms,
     last_of_kind,
@@ -291,11 +292,13 @@ def _each(
             yield FaultEvent(sensor, *span)
             continue
         most = signals["mode_probability"][:, i].argmax(axis=1)
-        size, onset = (last_of_kind(signals[name][:, i], most, part) for name in ("fault_size", "fault_onset"))
+        kind = name_of_kind(modes, part.kind)
+        size = last_of_kind(signals["fault_size"][:, i], most, part)
+        onset = last_of_kind(signals["fault_onset"][:, i], most, part, first=kind in SURE_ONSET)
         yield FaultEvent(
             sensor,
             *span,
-            kind=name_of_kind(modes, part.kind) or None,
+            kind=kind or None,
             onset=None if onset is None else first + onset,
             size=size,
             continued=part.begin > part.alarm,

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
-from bayesftc.cosim.judging.findings import onset_of_alarm, plain_kinds, sections
+from bayesftc.cosim.judging.findings import SURE_ONSET, onset_of_alarm, plain_kinds, sections
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import (
     ACTUATOR_SIGNALS,
@@ -123,7 +123,9 @@ class AlarmWatch:
         # Size and onset belong to the most probable mode of all, which can be another one.
         is_most = modes.argmax() == 1 + chances.argmax()
         numbers = [None if values is None or not np.isfinite(values[i]) else float(values[i]) for values in rest]
-        return _Stretch(time, time, 1, p, chances, tuple(numbers) if is_most else (), not above)
+        return _Stretch(
+            time, time, 1, p, chances, tuple(numbers) if is_most else (), not above, numbers[-1] if is_most else None
+        )
 
     def _events(self, i: int, alarm: _Open) -> Iterator[FaultEvent | ActuatorEvent]:
         """Give the parts of an alarm."""
@@ -137,7 +139,10 @@ class AlarmWatch:
             part, continued, before = listed[a:b], 0 < a == before, b
             span = part[0].start, part[-1].end, max(each.probability for each in part)
             kind = name_of_kind(self._modes, k + 1) if any(each.sums[k] for each in part) else ""
-            numbers = next((each.numbers for each in reversed(part) if each.numbers and each.kind == k), ())
+            of_kind = [each for each in part if each.numbers and each.kind == k]
+            numbers = of_kind[-1].numbers if of_kind else ()
+            if kind in SURE_ONSET and of_kind:
+                numbers = numbers[0], of_kind[0].onset
             yield self._made(i, span, kind, numbers, continued)
 
     def _made(
@@ -153,7 +158,7 @@ class _Stretch:
     """Steps of an alarm with one likeliest kind of fault: times, number of samples, largest fault probability.
 
     ``sums`` has for each kind the sum of its probability, ``numbers`` the last size and onset of the likeliest kind, and
-    ``pause`` says whether the fault probability is below the threshold.
+    ``pause`` says whether the fault probability is below the threshold. ``onset`` is the first one of the likeliest kind.
     """
 
     start: float
@@ -163,6 +168,7 @@ class _Stretch:
     sums: Floats
     numbers: tuple[float | None, ...] = ()
     pause: bool = False
+    onset: float | None = None
 
     @property
     def kind(self) -> int:
@@ -172,15 +178,16 @@ class _Stretch:
     def __add__(self, later: _Stretch) -> _Stretch:
         """Return both as one stretch."""
         sums = self.sums + later.sums
-        of_kind = [each.numbers for each in (later, self) if each.numbers and each.kind == sums.argmax()]
+        of_kind = [each for each in (self, later) if each.numbers and each.kind == sums.argmax()]
         return _Stretch(
             self.start,
             later.end,
             self.samples + later.samples,
             max(self.probability, later.probability),
             sums,
-            of_kind[0] if of_kind else (),
+            of_kind[-1].numbers if of_kind else (),
             self.pause and later.pause,
+            of_kind[0].onset if of_kind else None,
         )
 
 

@@ -105,14 +105,20 @@ def test_an_alarm_of_a_controller_that_names_no_kind_has_none(kind):
 
 def test_each_kind_of_an_alarm_has_its_own_row_onset_and_bar():
     healthy = np.array([1.0, 0.0, 0.0, 0.0])
-    chances = course((healthy, 20), (OFFSET, 60), (FROZEN, 60), (healthy, 60))
+    chances = course((healthy, 20), (OFFSET, 60), (DRIFTING, 60), (healthy, 60))
     onset = np.where(np.arange(200) < 80, 15.0, np.where(np.arange(200) < 100, 60.0, 79.5))  # at first 20 s too early
     signals = loop(chances, onset)
-    assert rows(signals) == [("Offset", 20.0, 79.0), ("Frozen", 80.0, 139.0)]
+    assert rows(signals) == [("Offset", 20.0, 79.0), ("Drifting", 80.0, 139.0)]
     assert rows(loop(chances, onset, recorded=False)) == rows(signals)
     assert [found.onset for found in findings(signals)] == [15.0, 79.5]
-    assert [found.size for found in findings(signals)] == [2.0, 1.0]
+    assert [found.size for found in findings(signals)] == [2.0, 3.0]
     assert bars_of(signals) == [(20.0, 80.0), (80.0, 140.0)]
+
+
+def test_a_freeze_keeps_the_onset_with_which_it_is_found():
+    onset = 18.0 + np.where(np.arange(200) < 30, 0.0, 0.1 * np.arange(200))  # the learner forgets it
+    (found,) = findings(loop(course((np.array([1.0, 0.0, 0.0, 0.0]), 20), (FROZEN, 120)), onset[:140]))
+    assert (found.kind, found.onset) == ("Frozen", 18.0)
 
 
 def test_the_bar_of_an_alarm_has_the_kind_of_its_row():
