@@ -20,9 +20,9 @@ from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
 from bayesftc.cosim.base.html import Lines
-from bayesftc.cosim.base.recordings.table_files import find_times
+from bayesftc.cosim.base.recordings.rows import rows_at_steps
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.run.tables import named_columns, read_table, sample_time
+from bayesftc.cosim.run.tables import named_columns, read_table
 from bayesftc.cosim.statistics._whiteness import FEW, LAGS, whiteness
 from bayesftc.cosim.types import Floats
 
@@ -141,9 +141,9 @@ def identify(
     table = read_table(data, "identify()")
     names_in, quantities = named_columns(table, inputs, "input"), quantities_of(table, outputs)
     names_out = quantities.columns
-    found = time or find_times(table, (*names_in, *names_out))
-    step = sample_time(table, found, dt)
-    u, y = (table[names].to_numpy(dtype=np.float64) for names in (names_in, names_out))
+    at_steps = rows_at_steps(table, time, dt, {*names_in, *names_out})
+    step, u = at_steps.step, at_steps.held(table[names_in].to_numpy(dtype=np.float64))
+    y = at_steps.placed(table[names_out].to_numpy(dtype=np.float64))
     late = whole_delays("identify() has input_delays", input_delays, len(names_in), "input", step)
     old = whole_delays("identify() has sensor_delays", sensor_delays, len(names_out), "output", step)
     u, y = _undelayed(u, y, late, old)

@@ -582,8 +582,8 @@ class LinearModel(Printed, NamedArguments):
         Parameters
         ----------
         data : Result, path of a CSV file, or pandas.DataFrame
-            The recording in evenly spaced rows. An input holds from its row to the next. Empty cells are missing samples; a
-            slower sensor has a value in every fifth row, for example.
+            The recording. An input holds from its row to the next. Empty cells and missing rows are missing samples; a slower
+            sensor has a value in every fifth row, for example.
         inputs : str or sequence of str
             Columns of the controls. The name of a vector signal stands for all its elements.
         outputs : str, sequence of str, or mapping of quantity to these
@@ -593,10 +593,11 @@ class LinearModel(Printed, NamedArguments):
         order : int, optional
             Number of states; by default from the singular values (Bauer's criterion).
         dt : float, str or Fraction, optional
-            Sample time in seconds; by default from the column `time`.
+            Sample time in seconds; by default that of the times, which must then be evenly spaced. Rows may be missing. With
+            `dt`, each row belongs to the nearest step, as in `cosim.fit`. Without a column of times, each row is a step.
         time : str, optional
             Name of the column of times, in seconds or in the unit that ends its name, as in ``t_ms``; by default a column that
-            is called t, time or timestamp, also with a unit.
+            is called t, time or timestamp, also with a unit, else the first one with dates (ISO 8601).
         held_out : float
             Share of the recording, at its end, that is held out for tests.
         past : int, optional
@@ -615,9 +616,9 @@ class LinearModel(Printed, NamedArguments):
         ModelError
             If there are too few samples (the message gives the number needed), or an input or output is constant.
         RecordingError
-            If the file cannot be read.
+            If the file cannot be read, or the recording does not fit its step.
         StepSizeError
-            If the times are not evenly spaced.
+            If the times are not evenly spaced and `dt` is not given.
 
         Warns
         -----

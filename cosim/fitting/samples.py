@@ -9,20 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import other_date
-from bayesftc.cosim.base.recordings.local_dates import what_is_wrong
-from bayesftc.cosim.base.recordings.table_files import find_times
-from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.base.warnings_shown import warn_user
+from bayesftc.cosim.base.recordings.rows import Steps, rows_at_steps
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
-from bayesftc.cosim.run.tables import named_columns, read_table, sample_time, times_of
+from bayesftc.cosim.run.tables import named_columns, read_table
 from bayesftc.cosim.types import Floats
-
-MOST_STEPS = 20_000_000
-"""Largest number of steps: a longer recording more likely has a wrong unit of time."""
-
-UNEVEN = 0.01
-"""Share of a step by which evenly spaced times may differ from a whole number of steps."""
 
 LEAST_MISSING = 4
 """Usual intervals without a row from which on there is a gap: over fewer, inputs that keep their values hardly matter."""
@@ -80,10 +70,7 @@ class Samples:
 def sample(
     recording: Any, inputs: Columns, outputs: Columns, time: str | None, dt: float | str | Fraction | None
 ) -> Samples:
-    """Read a recording and bring its rows to steps. Nothing is interpolated: each row goes to the nearest step.
-
-    Without `dt` the times must be evenly spaced, but rows may be missing. With `dt` the times may be uneven, and of several rows
-    at a step the last one counts. With `dt` and no column of times there is a row for each step.
+    """Read a recording and bring its rows to steps by `rows_at_steps`; of several rows at a step the last one counts.
 
     Raises
     ------
@@ -98,21 +85,12 @@ def sample(
     out = {name: tuple(named_columns(table, columns, "output")) for name, columns in sensed.items()}
     _refuse_twice([column for columns in out.values() for column in columns])
     named = {column for columns in (*into.values(), *out.values()) for column in columns}
-    time = time or find_times(table, named)
-    rows, start = np.arange(len(table)), 0.0
-    if dt is not None and time not in table.columns:
-        step = rational_step(dt)
-        _warn_of_dates(table, named)
-    else:
-        time = time or next((column for column in table.columns if _has_other_dates(table, column)), None)
-        t = times_of(table, time)
-        step = _usual_step(t) or sample_time(table, time, None) if dt is None else rational_step(dt)
-        start, rows = float(t[0]), _nearest(t, step)
-    steps = int(rows[-1]) + 1
-    given = {name: _at(rows, steps, table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
-    y = _at(rows, steps, table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
-    unused = tuple(str(column) for column in table.columns if column != time and column not in named)
-    return Samples(step, start, {n: _held(values, into[n]) for n, values in given.items()}, out, y, unused, _gaps(rows))
+    rows = rows_at_steps(table, time, dt, named)
+    given = {name: rows.placed(table[columns].to_numpy(dtype=np.float64)) for name, columns in into.items()}
+    y = rows.placed(table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
+    unused = tuple(str(column) for column in table.columns if column != rows.time and column not in named)
+    held = {name: _held(values, into[name]) for name, values in given.items()}
+    return Samples(rows.step, rows.start, held, out, y, unused, _gaps(rows.at))
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
@@ -139,57 +117,11 @@ def _refuse_twice(columns: Sequence[str]) -> None:
             raise ModelError(f"The column {column!r} is given for the outputs twice; give each column once.")
 
 
-def _has_other_dates(table: Any, column: str) -> bool:
-    return list(table.columns).count(column) == 1 and other_date(table[column]) is not None
-
-
-def _warn_of_dates(table: Any, named: set[str]) -> None:
-    """Warn of a column of dates that cannot be read, and so does not count."""
-    for column in table.columns:
-        if column not in named and _has_other_dates(table, column):
-            warn_user(
-                f"The dates in {column!r} do not count: each row is one step of dt, and gaps are lost. The dates, such as "
-                f"{what_is_wrong(table[column])}."
-            )
-
-
-def _usual_step(t: Floats) -> Fraction | None:
-    """Return the step of times that are evenly spaced except for missing rows; None for any others."""
-    steps = np.diff(t)
-    counts = np.rint(steps / np.median(steps))
-    step = float(t[-1] - t[0]) / float(counts.sum())
-    even = np.abs(steps - counts * step).max() <= UNEVEN * step
-    return Fraction(f"{step:.6g}") if even and counts.min() == 1 < counts.max() else None
-
-
-def _nearest(t: Floats, step: Fraction) -> np.ndarray[Any, np.dtype[np.int64]]:
-    span = float(t[-1] - t[0])
-    if span / float(step) > MOST_STEPS:
-        raise RecordingError(
-            f"The recording of {span:g} s has more than {MOST_STEPS:,} steps of {float(step):g} s. Check the unit of its "
-            "times: without one in the name of their column, such as t_ms, they are in seconds."
-        )
-    if span < float(step):
-        raise RecordingError(
-            f"The recording of {span:g} s is shorter than a step of {float(step):g} s. Give a smaller dt."
-        )
-    return np.asarray(np.rint((t - t[0]) / float(step)), dtype=np.int64)
-
-
-def _gaps(rows: np.ndarray[Any, np.dtype[np.int64]]) -> tuple[tuple[int, int], ...]:
+def _gaps(rows: Steps) -> tuple[tuple[int, int], ...]:
     """Return the steps before and after each stretch in which several rows are missing."""
     intervals = np.diff(rows)
     usual = float(np.median(intervals)) if len(intervals) else 0.0
     return tuple((int(rows[k]), int(rows[k + 1])) for k in np.flatnonzero(intervals > LEAST_MISSING * max(usual, 1.0)))
-
-
-def _at(rows: np.ndarray[Any, np.dtype[np.int64]], steps: int, values: Floats) -> Floats:
-    """Return the values at their steps, NaN elsewhere; the last finite one of each step counts."""
-    placed = np.full((steps, values.shape[1]), np.nan)
-    for j, column in enumerate(values.T):
-        there = np.isfinite(column)
-        placed[rows[there], j] = column[there]
-    return placed
 
 
 def _held(values: Floats, names: Sequence[str]) -> Floats:

@@ -1,6 +1,7 @@
 """``bayesftc fit``: what it prints and writes, and what a wrong command line says."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -68,6 +69,14 @@ def test_an_undetermined_parameter_has_no_standard_error(bayesftc_, drive):
     done = bayesftc_("fit", "CruiseControl", drive, "--parameter", "m=50:200", "--output", "v=v1,v2", "--all-samples")
     assert "not determined" in done.stdout
     assert "--input force" in done.stderr
+
+
+def test_the_option_for_uneven_times_is_named(bayesftc_, drive):
+    table = pd.read_csv(drive)
+    table.drop(table.index[3]).assign(time=lambda rows: rows["time"] + 0.03 * (rows.index % 2)).to_csv(drive)
+    done = bayesftc_("fit", "CruiseControl", drive, *OPTIONS)
+    assert done.exit_code == 8
+    assert re.search(r"not evenly spaced: .* Give --dt 0\.\d+, the usual step", " ".join(done.output.split()))
 
 
 @pytest.mark.parametrize(

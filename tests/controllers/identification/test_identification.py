@@ -385,6 +385,39 @@ def test_what_is_no_recording(tmp_path):
         LinearModel.identify(3, inputs="u", outputs="y")
 
 
+@pytest.mark.parametrize("dt", [None, 0.1])
+def test_missing_rows_are_no_steps_less(dt):
+    """A recording without some rows gives the same as one in which they are empty, but for the inputs, which hold."""
+    table, names = record(2500)
+    gone = np.isin(np.arange(2500), [*range(300, 420), 700, 701, 1900])
+    rows = np.where(gone, np.nan, 1.0)[:, None]
+    inputs, outputs = names["inputs"], names["outputs"]
+    empty = table.assign(**(table[outputs] * rows), **(table[inputs] * rows).ffill())
+    found, known = (LinearModel.identify(t, **names, dt=dt) for t in (table[~gone], empty))
+    for name in ("A", "B", "C", "process_covariance", "sensor_covariance"):
+        np.testing.assert_array_equal(found.model.matrix(name), known.model.matrix(name))
+    np.testing.assert_array_equal(found.time, known.time)
+
+
+def test_each_row_is_at_the_nearest_step():
+    """Times that jitter, and a step that is a part of the time between rows, leave the plant as it is."""
+    table, names = record(4000, Q=0.01 * Q, R=0.01 * R)
+    known = LinearModel.identify(table, **names)
+    off = np.random.default_rng(0).uniform(-0.04, 0.04, len(table)) * (table["time"] > 0.0)
+    jitter = table.assign(time=table["time"] + off)
+    with pytest.raises(StepSizeError, match=r"not evenly spaced: .* Give dt=0\.\d+, the usual step"):
+        LinearModel.identify(jitter, **names)
+    found = LinearModel.identify(jitter, **names, dt=0.1)
+    np.testing.assert_array_equal(found.model.matrix("A"), known.model.matrix("A"))
+    with pytest.warns(UserWarning, match="50% of the rows are at the step of a later row"):
+        LinearModel.identify(table, **names, dt=0.2)
+    finer = LinearModel.identify(table, **names, dt=0.05, order=2)
+    power = np.linalg.matrix_power(finer.model.moving.matrix("A"), 2)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(power)), np.sort_complex(np.linalg.eigvals(A)), atol=0.05
+    )
+
+
 @pytest.mark.parametrize(("what", "copied"), [("inputs", "u0"), ("outputs", "y0")])
 def test_columns_that_follow_from_each_other_are_said(what, copied):
     table, names = record(400)

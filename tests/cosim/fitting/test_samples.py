@@ -19,7 +19,8 @@ def test_rows_go_to_the_nearest_step_and_nothing_is_interpolated():
     table = pd.DataFrame(
         {"time": [5.0, 5.11, 5.19, 5.21, 5.5], "u": [1.0, NAN, 2.0, NAN, 3.0], "y": [10.0, 11.0, 12.0, NAN, 15.0]}
     )
-    samples = sample(table, {"in": "u"}, {"out": "y"}, "time", 0.1)
+    with pytest.warns(UserWarning, match="25% of the rows are at the step of a later row, .* dt is 0.1 s"):
+        samples = sample(table, {"in": "u"}, {"out": "y"}, "time", 0.1)
     assert samples.step == Fraction(1, 10)
     np.testing.assert_allclose(samples.time, 5.0 + 0.1 * np.arange(6))
     np.testing.assert_array_equal(samples.y[:, 0], [10, 11, 12, NAN, NAN, 15])  # the row at 5.21 s has no sample
@@ -27,7 +28,7 @@ def test_rows_go_to_the_nearest_step_and_nothing_is_interpolated():
 
 
 def test_without_times_there_is_a_row_for_each_step():
-    samples = sample(pd.DataFrame({"y": [1.0, 2.0]}), (), "y", "time", "1/30")
+    samples = sample(pd.DataFrame({"y": [1.0, 2.0]}), (), "y", None, "1/30")
     assert samples.step == Fraction(1, 30)
     assert samples.start == 0.0
     np.testing.assert_array_equal(samples.y, [[1], [2]])
@@ -57,8 +58,9 @@ def test_sensors_belong_to_their_outputs():
 @pytest.mark.parametrize(
     ("times", "dt", "error", "words"),
     [
-        ([0.0, 0.1, 0.3], None, cosim.StepSizeError, "not evenly spaced"),
-        ([0.0, 0.2, 0.1], 0.1, cosim.StepSizeError, "do not increase"),
+        ([0.0, 0.1, 0.2, 0.35], None, cosim.StepSizeError, "not evenly spaced: .* Give dt=0.1, the usual step"),
+        ([0.0, 0.2, 0.1], 0.1, cosim.StepSizeError, "do not increase .* or leave it out"),
+        ([0.0, 0.2, 0.1], None, cosim.StepSizeError, "do not increase .* or give dt="),
         ([0.0, 0.1, NAN], 0.1, cosim.StepSizeError, "do not increase"),
         ([0.0, 1e9, 2e9], 1e-3, cosim.RecordingError, "in seconds"),
         ([0.0, 0.1, 0.2], 10.0, cosim.RecordingError, "smaller dt"),
@@ -67,6 +69,11 @@ def test_sensors_belong_to_their_outputs():
 def test_times_that_cannot_be_used_are_refused(times, dt, error, words):
     with pytest.raises(error, match=words):
         sample(pd.DataFrame({"time": times, "y": 1.0}), (), "y", "time", dt)
+
+
+def test_a_name_that_the_recording_does_not_have_is_refused_also_with_dt():
+    with pytest.raises(cosim.StepSizeError, match="no column 'tme'"):
+        sample(pd.DataFrame({"time": [0.0, 1.0], "y": 1.0}), (), "y", "tme", 1)
 
 
 DATES = pd.date_range("2026-03-28T08:00", periods=8, freq="60s").delete([3, 4])
@@ -135,6 +142,12 @@ def test_a_text_among_dates_is_named():
     table = pd.DataFrame({"Zeit": [*DATES.astype(str)[:5], "noon"], "y": np.arange(6.0)})
     with pytest.raises(cosim.RecordingError, match="'noon' in the column of times 'Zeit', row 6, is no date"):
         sample(table, (), "y", None, None)
+
+
+def test_a_long_recording_keeps_its_rows_although_its_step_is_rounded():
+    times = np.delete(np.arange(1_000_000) / 30, [5])
+    samples = sample(pd.DataFrame({"t": times, "y": 1.0}), (), "y", None, None)
+    assert np.flatnonzero(np.isnan(samples.y[:, 0])).tolist() == [5]
 
 
 def test_rows_may_be_missing_among_rounded_times():
