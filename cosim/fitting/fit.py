@@ -17,12 +17,13 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.errors import FMUError, ModelError, SimulationError, UnknownNameError, brief, did_you_mean
 from bayesftc.cosim.fitting import sentences
 from bayesftc.cosim.fitting.fitted import FittedFMU
+from bayesftc.cosim.fitting.offsets import constant_offsets, std_of_common
 from bayesftc.cosim.fitting.recovery import recovering
 from bayesftc.cosim.fitting.samples import Columns, Samples, sample
 from bayesftc.cosim.fitting.search import Box, Problem
 from bayesftc.cosim.fitting.settings import FitSettings
 from bayesftc.cosim.fitting.simulator import Simulator
-from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated
+from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated, without_offsets
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
@@ -60,7 +61,8 @@ def fit(
     The FMU runs with the recorded inputs. Parameters are sought in their ranges by `scipy.optimize.least_squares` (trust region,
     several starts), first with a robust loss. Then the learner of `bayesftc monitor` gives the probability of each sample that
     its sensor is healthy, which is the weight of the sample. The fit and the weights alternate until the parameters move by less
-    than a tenth of their standard errors. Each sensor counts by its noise, which is estimated, too.
+    than a tenth of their standard errors. Each sensor counts by its noise, which is estimated, too. A constant difference between
+    redundant sensors is no fault, and is subtracted.
 
     Parameters
     ----------
@@ -136,7 +138,13 @@ def fit(
     split = _split(samples, held_out, len(box.names))
     _warn_of_columns(fmu, samples)
     problem = Problem(
-        Simulator(fmu, samples, jobs), box, settings, samples.y[:split], samples.output_of, np.zeros((0, 0))
+        Simulator(fmu, samples, jobs),
+        box,
+        settings,
+        samples.y[:split],
+        samples.output_of,
+        np.zeros((0, 0)),
+        np.zeros(samples.y.shape[1]),
     )
     with reported(f"Fitting {', '.join(box.names)} to {len(samples.y)} steps, for seconds to minutes."):
         found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
@@ -147,8 +155,8 @@ def fit(
 class _Found:
     """The end of a search.
 
-    It has the place, the weights of the samples, the run, the derivatives of the weighted residuals, and the samples after gaps
-    from which the FMU has not recovered.
+    It has the place, the weights of the samples, the run, the derivatives of the weighted residuals with what these were scaled
+    by, the constant offsets of the sensors, and the samples after gaps from which the FMU has not recovered.
     """
 
     place: Floats
@@ -156,6 +164,8 @@ class _Found:
     outputs: Floats
     jacobian: Floats
     residuals: Floats
+    scale: Floats
+    offsets: Floats
     late: Flags
     settled: bool
 
@@ -169,22 +179,31 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
     loss: Literal["linear", "soft_l1"] = "soft_l1" if weigh else "linear"
     place = problem.weighted(weights[:rows], noise).search(known, loss)
     outputs = _run(problem, place, len(samples.y))
-    if weigh:
+    offsets = common = np.zeros(samples.y.shape[1])
+    if weigh:  # a constant offset of a redundant sensor is no fault, but would look like one in every sample
+        offsets = constant_offsets((samples.y - outputs[:, samples.output_of])[:rows], samples.output_of)
+        samples = replace(samples, y=samples.y - offsets)
+        problem = replace(problem, y=samples.y[:rows], common=std_of_common(offsets, samples.output_of))
         noise = np.maximum(_spread((samples.y - outputs[:, samples.output_of])[:rows]), least)
-        place = problem.weighted(weights[:rows], noise).descend(place, loss, coarse=True).x
+        weighted = problem.weighted(weights[:rows], noise)
+        place = weighted.descend(place, loss, coarse=True).x
         outputs = _run(problem, place, len(samples.y))
+        common = weighted.common_errors(outputs[:rows])
     for _ in range(settings.rounds):
-        late = recovering(samples, outputs, least)
+        corrected = replace(samples, y=samples.y - common)
+        late = recovering(corrected, outputs, least)
         if weigh:
-            weights = _weights(weigh, samples, outputs, late)
+            weights = _weights(weigh, corrected, outputs, late)
         _refuse_few(samples, weights[:rows], len(place))
-        noise = np.maximum(_noise(samples, outputs, weights, rows, len(place)), least)
-        before, end = place, problem.weighted(weights[:rows], noise).descend(place, "linear")
+        noise = np.maximum(_noise(corrected, outputs, weights, rows, len(place)), least)
+        weighted = problem.weighted(weights[:rows], noise)
+        before, end = place, weighted.descend(place, "linear")
         place, outputs = end.x, _run(problem, end.x, len(samples.y))
+        common = weighted.common_errors(outputs[:rows])
         settled = float(np.linalg.norm(end.jac @ (place - before))) < settings.settled
         if settled:
             break
-    return _Found(place, weights, outputs, end.jac, end.fun, late, settled)
+    return _Found(place, weights, outputs, end.jac, end.fun, weighted.scale, offsets + common, late, settled)
 
 
 def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> FittedFMU:
@@ -192,9 +211,10 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     values, settings, names = box.at(found.place), problem.settings, np.array(box.names)
     margin = settings.difference
     free = np.minimum(found.place, 1.0 - found.place) >= margin
-    counted = np.where(found.weights >= 0.5, samples.y - found.outputs[:, samples.output_of], np.nan)
+    counted = np.where(found.weights >= 0.5, samples.y - found.offsets - found.outputs[:, samples.output_of], np.nan)
     correlated = is_correlated(counted[:split], settings.white)
     jacobian = found.jacobian.reshape(split, len(columns), -1)[:, :, free]
+    jacobian = without_offsets(jacobian, found.scale, found.offsets, samples.output_of)
     residuals = found.residuals.reshape(split, len(columns))
     spread = np.full((len(names), len(names)), np.nan)
     white = np.full(len(names), np.nan)
@@ -207,11 +227,13 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     std = np.sqrt(np.diag(spread))
     rms, rest = (_rms(counted[part], columns) for part in (slice(split), slice(split, None)))
     present = np.isfinite(samples.y)
+    units = {variable.name: variable.unit or "" for variable in fmu.description.variables}
     found_sentences = [
         *sentences.not_followed(columns, samples.y, found.outputs[:, samples.output_of], present),
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),
+        *sentences.offsets(samples.sensors, found.offsets, units),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
         *sentences.left_out(samples.sensors, found.weights, found.late, present, samples.time),
         *sentences.held_out_worse(rms, rest),
@@ -229,6 +251,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         correlation=spread / np.outer(std, std),
         profile=profile,
         sensors=samples.sensors,
+        offsets=dict(zip(columns, found.offsets.tolist(), strict=True)),
         rms=rms,
         held_out=rest,
         sentences=tuple(found_sentences),

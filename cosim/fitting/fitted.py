@@ -38,9 +38,12 @@ class FittedFMU:
         Directions in which the parameters can change together, the least determined first.
     sensors : dict of str to tuple of str
         The columns of each output.
+    offsets : dict of str to float
+        What each column constantly reads more than the common reading of the sensors of its output; 0 if no difference is found.
+        The fit and its weights are of the samples without it.
     rms, held_out : dict of str to float
-        Root-mean-square difference between each column and the run of the FMU, over the samples that count: in the fitted part,
-        and in the held-out part (NaN without one).
+        Root-mean-square difference between each column, without its offset, and the run of the FMU, over the samples that count:
+        in the fitted part, and in the held-out part (NaN without one).
     sentences : tuple of str
         What the result lacks, as sentences; empty if nothing.
     time : ndarray, steps
@@ -72,6 +75,7 @@ class FittedFMU:
     correlation: Floats
     profile: tuple[Combination, ...]
     sensors: Mapping[str, tuple[str, ...]]
+    offsets: dict[str, float]
     rms: dict[str, float]
     held_out: dict[str, float]
     sentences: tuple[str, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -75,6 +75,8 @@ class Problem:
         The number of each sensor's output.
     scale : ndarray, rows x sensors
         What a residual is multiplied with: the root of the sample's weight, divided by the sensor's noise.
+    common : ndarray, sensors
+        Standard deviation of a constant error that the sensors of an output have in common; 0 for none.
     """
 
     simulator: Simulator
@@ -83,6 +85,7 @@ class Problem:
     y: Floats
     output_of: Any
     scale: Floats
+    common: Floats
 
     def weighted(self, weights: Floats, noise: Floats) -> Problem:
         """Return the problem with these weights (rows x sensors) and standard deviations (sensors)."""
@@ -93,10 +96,40 @@ class Problem:
         return self.simulator.runs([self.box.at(place) for place in places], len(self.y))
 
     def residuals(self, outputs: Floats | str) -> Floats:
-        """Return the weighted residuals of a run, all sensors at a step side by side."""
+        """Return the weighted residuals of a run, all sensors at a step side by side.
+
+        A common error makes them correlated. They are whitened: with the scales s and the error's standard deviation t, their
+        covariance is I + t^2 s s'.
+        """
         if isinstance(outputs, str):
             return np.where(self.scale > 0, FAR, 0.0).ravel()
-        return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0).ravel()
+        found = self._scaled(outputs)
+        for sensors, s in self._with_common():
+            mean, spread = self._mean(found[:, sensors], s), np.sqrt(1.0 + self.common[sensors][0] ** 2 * np.sum(s**2))
+            found[:, sensors] -= s * mean * (1.0 - 1.0 / spread)
+        return found.ravel()
+
+    def common_errors(self, outputs: Floats) -> Floats:
+        """Return the constant error that the sensors of each output have in common (sensors), from a run and its distribution."""
+        found, errors = self._scaled(outputs), np.zeros(len(self.output_of))
+        for sensors, s in self._with_common():
+            signal = self.common[sensors][0] ** 2 * np.sum(s**2)
+            errors[sensors] = self._mean(found[:, sensors], s) * signal / (1.0 + signal)
+        return errors
+
+    def _scaled(self, outputs: Floats) -> Floats:
+        return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0)
+
+    def _with_common(self) -> Iterator[tuple[Any, Floats]]:
+        """Give the sensors of each output with a common error, and their scales."""
+        for output in np.unique(self.output_of[self.common > 0]):
+            sensors = self.output_of == output
+            if (self.scale[:, sensors] > 0).any():
+                yield sensors, self.scale[:, sensors]
+
+    @staticmethod
+    def _mean(residuals: Floats, scale: Floats) -> float:
+        return float(np.sum(residuals * scale) / np.sum(scale**2))
 
     def jacobian(self, place: Floats, outputs: Floats | str, *, central: bool) -> Floats:
         """Return the derivatives of the residuals by the place, as differences; all runs on all cores.

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.fitting.uncertainty import Combination
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.signals import Flags
@@ -71,6 +72,22 @@ def correlated(columns: Sequence[str], found: Sequence[bool], white: Floats, use
             f"The residuals of {', '.join(names)} are not white: the noise is coloured, or the FMU differs from the plant. The "
             f"standard errors take this into account (up to {factor:.2g} times those of white noise), but not a systematic error."
         )
+
+
+def offsets(sensors: Mapping[str, Sequence[str]], found: Floats, units: Mapping[str, str]) -> Iterator[str]:
+    """Give a sentence for each output whose sensors differ by constants, which the fit has subtracted."""
+    of = dict(zip((column for columns in sensors.values() for column in columns), found.tolist(), strict=True))
+    for output, columns in sensors.items():
+        largest = max(abs(of[column]) for column in columns)
+        if largest:
+            digits, unit = 1 - int(np.floor(np.log10(largest))), behind(units.get(output))
+            errors = ", ".join(f"{column} {round(of[column], digits) + 0.0:+g}{unit}" for column in columns)
+            yield (
+                f"The sensors of {output} differ by a constant in most of the recording. This counts as an error of calibration, "
+                f"not as a fault. The fit estimates these errors and subtracts them: {errors}. Only the FMU shows which sensor "
+                "errs. The standard errors contain that this is uncertain, but no larger error that the sensors share. If you "
+                "know which sensor is right, correct the columns of the others."
+            )
 
 
 def gaps(

@@ -15,11 +15,12 @@ from scipy.stats import norm
 
 from bayesftc import cosim
 from bayesftc.cosim.types import Floats
-from bayesftc.examples.fitted_car.recordings import CAR, NAMES, RANGES, TRUE, recording, with_faults
+from bayesftc.examples.fitted_car.recordings import CAR, NAMES, NOISE, RANGES, TRUE, recording, with_faults
 
 KINDS: dict[str, dict[str, Any]] = {
     "no fault": {},
     "a fault and a gap": {"faulty": True},
+    "an offset of one sensor, a fault and a gap": {"offset": 1.0, "faulty": True},
     "a fault and a gap, all samples count": {"faulty": True, "weigh": None},
     "coloured noise (0.8)": {"colour": 0.8},
     "coloured noise, a fault and a gap": {"colour": 0.8, "faulty": True},
@@ -27,7 +28,13 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 def errors(
-    *, faulty: bool = False, colour: float = 0.0, weigh: Any = "learner", count: int = 100, rows: int = 1500
+    *,
+    faulty: bool = False,
+    colour: float = 0.0,
+    offset: float = 0.0,
+    weigh: Any = "learner",
+    count: int = 100,
+    rows: int = 1500,
 ) -> Floats:
     """Return the errors of the parameters in standard errors (count x parameters).
 
@@ -37,6 +44,8 @@ def errors(
         Whether each recording has a fault and a gap.
     colour : float
         Autocorrelation of the noise.
+    offset : float
+        Constant offset of the second sensor, in standard deviations of the noise.
     weigh : "learner", callable or None
         As for `cosim.fit`.
     count, rows : int
@@ -45,6 +54,7 @@ def errors(
     found = []
     for seed in range(count):
         table = recording(seed, rows, colour=colour)
+        table["v1"] += offset * NOISE
         fitted = cosim.fit(
             CAR, with_faults(table, seed) if faulty else table, RANGES, **NAMES, held_out=0.0, weigh=weigh
         )

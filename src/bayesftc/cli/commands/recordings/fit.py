@@ -118,6 +118,7 @@ def summary(fitted: Any) -> dict[str, Any]:
                 "profile": [asdict(combination) for combination in fitted.profile],
                 "sensors": {
                     column: {
+                        "offset": fitted.offsets[column],
                         "rms": fitted.rms[column],
                         "held_out": fitted.held_out[column],
                         "samples": int(np.isfinite(fitted.measured[:, i]).sum()),
