@@ -23,7 +23,7 @@ from bayesftc.cosim.fitting.samples import Columns, Samples, sample
 from bayesftc.cosim.fitting.search import Box, Problem
 from bayesftc.cosim.fitting.settings import FitSettings
 from bayesftc.cosim.fitting.simulator import Simulator
-from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated, without_offsets
+from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.judging.signals import Flags
 from bayesftc.cosim.types import Floats
@@ -144,7 +144,7 @@ def fit(
         samples.y[:split],
         samples.output_of,
         np.zeros((0, 0)),
-        np.zeros(samples.y.shape[1]),
+        np.full(samples.y.shape[1], np.nan),
     )
     with reported(f"Fitting {', '.join(box.names)} to {len(samples.y)} steps, for seconds to minutes."):
         found = _rounds(problem, samples, _weigh(weigh), _known(fmu, box))
@@ -155,8 +155,8 @@ def fit(
 class _Found:
     """The end of a search.
 
-    It has the place, the weights of the samples, the run, the derivatives of the weighted residuals with what these were scaled
-    by, the constant offsets of the sensors, and the samples after gaps from which the FMU has not recovered.
+    It has the place, the weights of the samples, the run, the derivatives of the weighted residuals, the constant offsets of the
+    sensors, and the samples after gaps from which the FMU has not recovered.
     """
 
     place: Floats
@@ -164,7 +164,6 @@ class _Found:
     outputs: Floats
     jacobian: Floats
     residuals: Floats
-    scale: Floats
     offsets: Floats
     late: Flags
     settled: bool
@@ -179,7 +178,7 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
     loss: Literal["linear", "soft_l1"] = "soft_l1" if weigh else "linear"
     place = problem.weighted(weights[:rows], noise).search(known, loss)
     outputs = _run(problem, place, len(samples.y))
-    offsets = common = np.zeros(samples.y.shape[1])
+    offsets = further = np.zeros(samples.y.shape[1])
     if weigh:  # a constant offset of a redundant sensor is no fault, but would look like one in every sample
         offsets = constant_offsets((samples.y - outputs[:, samples.output_of])[:rows], samples.output_of)
         samples = replace(samples, y=samples.y - offsets)
@@ -188,9 +187,9 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         weighted = problem.weighted(weights[:rows], noise)
         place = weighted.descend(place, loss, coarse=True).x
         outputs = _run(problem, place, len(samples.y))
-        common = weighted.common_errors(outputs[:rows])
+        further, problem = weighted.offsets(outputs[:rows]), replace(problem, free=True)
     for _ in range(settings.rounds):
-        corrected = replace(samples, y=samples.y - common)
+        corrected = replace(samples, y=samples.y - further)
         late = recovering(corrected, outputs, least)
         if weigh:
             weights = _weights(weigh, corrected, outputs, late)
@@ -199,11 +198,11 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         weighted = problem.weighted(weights[:rows], noise)
         before, end = place, weighted.descend(place, "linear")
         place, outputs = end.x, _run(problem, end.x, len(samples.y))
-        common = weighted.common_errors(outputs[:rows])
+        further = weighted.offsets(outputs[:rows])
         settled = float(np.linalg.norm(end.jac @ (place - before))) < settings.settled
         if settled:
             break
-    return _Found(place, weights, outputs, end.jac, end.fun, weighted.scale, offsets + common, late, settled)
+    return _Found(place, weights, outputs, end.jac, end.fun, offsets + further, late, settled)
 
 
 def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> FittedFMU:
@@ -214,7 +213,6 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     counted = np.where(found.weights >= 0.5, samples.y - found.offsets - found.outputs[:, samples.output_of], np.nan)
     correlated = is_correlated(counted[:split], settings.white)
     jacobian = found.jacobian.reshape(split, len(columns), -1)[:, :, free]
-    jacobian = without_offsets(jacobian, found.scale, found.offsets, samples.output_of)
     residuals = found.residuals.reshape(split, len(columns))
     spread = np.full((len(names), len(names)), np.nan)
     white = np.full(len(names), np.nan)

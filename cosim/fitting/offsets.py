@@ -54,12 +54,13 @@ def constant_offsets(residuals: Floats, output_of: np.ndarray[Any, np.dtype[np.i
 
 
 def std_of_common(offsets: Floats, output_of: np.ndarray[Any, np.dtype[np.int64]]) -> Floats:
-    """Return the standard deviation of the error of each output's common reading (sensors), from the offsets from it.
+    """Return the standard deviation of the error of each output's common reading (sensors), NaN without offsets.
 
     It is the median of their magnitudes: if one of two sensors is right, the mean errs by half of their difference. If most
     sensors agree, it is 0.
     """
-    return np.array([np.median(np.abs(offsets[output_of == output])) for output in output_of])
+    found = [np.abs(offsets[output_of == output]) for output in output_of]
+    return np.array([np.median(own) if own.any() else np.nan for own in found])
 
 
 def _constant(differences: Floats) -> float:

@@ -76,7 +76,9 @@ class Problem:
     scale : ndarray, rows x sensors
         What a residual is multiplied with: the root of the sample's weight, divided by the sensor's noise.
     common : ndarray, sensors
-        Standard deviation of a constant error that the sensors of an output have in common; 0 for none.
+        Standard deviation of a constant error that the sensors of an output have in common; NaN for sensors that do not differ.
+    free : bool
+        Whether constant differences between such sensors are free: only if faulty samples do not count.
     """
 
     simulator: Simulator
@@ -86,6 +88,7 @@ class Problem:
     output_of: Any
     scale: Floats
     common: Floats
+    free: bool = False
 
     def weighted(self, weights: Floats, noise: Floats) -> Problem:
         """Return the problem with these weights (rows x sensors) and standard deviations (sensors)."""
@@ -98,38 +101,39 @@ class Problem:
     def residuals(self, outputs: Floats | str) -> Floats:
         """Return the weighted residuals of a run, all sensors at a step side by side.
 
-        A common error makes them correlated. They are whitened: with the scales s and the error's standard deviation t, their
-        covariance is I + t^2 s s'.
+        A common error of a normal distribution makes them correlated, and they are whitened: with the scales s and the error's
+        standard deviation t, their covariance is I + t^2 s s'. Free offsets are those that fit
+        best at this run.
         """
         if isinstance(outputs, str):
             return np.where(self.scale > 0, FAR, 0.0).ravel()
         found = self._scaled(outputs)
-        for sensors, s in self._with_common():
-            mean, spread = self._mean(found[:, sensors], s), np.sqrt(1.0 + self.common[sensors][0] ** 2 * np.sum(s**2))
-            found[:, sensors] -= s * mean * (1.0 - 1.0 / spread)
+        for sensors, own, mean, signal in self._offsets(found):
+            found[:, sensors] -= self.scale[:, sensors] * (own - mean / np.sqrt(1.0 + signal))
         return found.ravel()
 
-    def common_errors(self, outputs: Floats) -> Floats:
-        """Return the constant error that the sensors of each output have in common (sensors), from a run and its distribution."""
-        found, errors = self._scaled(outputs), np.zeros(len(self.output_of))
-        for sensors, s in self._with_common():
-            signal = self.common[sensors][0] ** 2 * np.sum(s**2)
-            errors[sensors] = self._mean(found[:, sensors], s) * signal / (1.0 + signal)
+    def offsets(self, outputs: Floats) -> Floats:
+        """Return the offset of each sensor that is free or common to those of its output, from a run; 0 for the others."""
+        errors = np.zeros(len(self.output_of))
+        for sensors, own, mean, signal in self._offsets(self._scaled(outputs)):
+            errors[sensors] = own - mean / (1.0 + signal)
         return errors
 
     def _scaled(self, outputs: Floats) -> Floats:
         return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0)
 
-    def _with_common(self) -> Iterator[tuple[Any, Floats]]:
-        """Give the sensors of each output with a common error, and their scales."""
-        for output in np.unique(self.output_of[self.common > 0]):
+    def _offsets(self, residuals: Floats) -> Iterator[tuple[Any, Floats, float, float]]:
+        """Give the sensors of each output that differ, their mean errors, the common one, and its prior over its noise."""
+        for output in np.unique(self.output_of[np.isfinite(self.common)]):
             sensors = self.output_of == output
-            if (self.scale[:, sensors] > 0).any():
-                yield sensors, self.scale[:, sensors]
-
-    @staticmethod
-    def _mean(residuals: Floats, scale: Floats) -> float:
-        return float(np.sum(residuals * scale) / np.sum(scale**2))
+            sums, weights = (self.scale[:, sensors] * np.stack([residuals[:, sensors], self.scale[:, sensors]])).sum(
+                axis=1
+            )
+            if weights.any():
+                mean = float(sums.sum() / weights.sum())
+                own = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), mean)
+                signal = float(self.common[sensors][0] ** 2 * weights.sum())
+                yield sensors, own if self.free else np.full_like(own, mean), mean, signal
 
     def jacobian(self, place: Floats, outputs: Floats | str, *, central: bool) -> Floats:
         """Return the derivatives of the residuals by the place, as differences; all runs on all cores.

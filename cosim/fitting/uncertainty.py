@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -72,35 +71,6 @@ def is_correlated(residuals: Floats, white: float) -> list[bool]:
                 if 2 * norm.sf(abs(shared) * np.sqrt(both.sum())) < white:
                     found[i] = found[j] = True
     return found
-
-
-def without_offsets(
-    jacobian: Floats, scale: Floats, offsets: Floats, output_of: np.ndarray[Any, np.dtype[np.int64]]
-) -> Floats:
-    """Return derivatives without what offsets between redundant sensors explain, since these are estimated as well.
-
-    Parameters
-    ----------
-    jacobian : ndarray, rows x sensors x parameters
-        Derivatives of the weighted residuals.
-    scale : ndarray, rows x sensors
-        What a residual is multiplied with.
-    offsets : ndarray, sensors
-        The offsets; 0 where none is estimated.
-    output_of : ndarray, sensors
-        The number of each sensor's output.
-    """
-    precisions, contrasts = (scale**2).sum(axis=0), []
-    for output in np.unique(output_of[offsets != 0]):
-        first, *others = np.flatnonzero(output_of == output)
-        for i in others:  # two offsets whose weighted mean, the common reading, stays
-            contrast = np.zeros_like(scale)
-            contrast[:, first], contrast[:, i] = scale[:, first] * precisions[i], -scale[:, i] * precisions[first]
-            contrasts.append(contrast.ravel())
-    if not contrasts:
-        return jacobian
-    of, flat = np.column_stack(contrasts), jacobian.reshape(scale.size, -1)
-    return np.asarray(flat - of @ np.linalg.lstsq(of, flat, rcond=None)[0]).reshape(jacobian.shape)
 
 
 def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floats:

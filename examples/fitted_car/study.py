@@ -20,7 +20,6 @@ from bayesftc.examples.fitted_car.recordings import CAR, NAMES, NOISE, RANGES, T
 KINDS: dict[str, dict[str, Any]] = {
     "no fault": {},
     "a fault and a gap": {"faulty": True},
-    "an offset of one sensor, a fault and a gap": {"offset": 1.0, "faulty": True},
     "a fault and a gap, all samples count": {"faulty": True, "weigh": None},
     "coloured noise (0.8)": {"colour": 0.8},
     "coloured noise, a fault and a gap": {"colour": 0.8, "faulty": True},
