@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.base.recordings.dates import are_dates, other_date
-from bayesftc.cosim.base.recordings.local_dates import iso_of
+from bayesftc.cosim.base.recordings.dates import are_dates
+from bayesftc.cosim.base.recordings.local_dates import what_is_wrong
 from bayesftc.cosim.base.recordings.table_files import TIMES, find_times, times_in
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -94,23 +94,23 @@ def rows_at_steps(
         If a cell among dates is none, or the recording does not fit the step.
     """
     time = time or find_times(table, others)
-    other_dates = [column for column in table.columns if column not in others and _other_date(table, column)]
+    unread = {column: wrong for column in table.columns if column not in others and (wrong := _unread(table, column))}
     if dt is not None and time is None:
-        for column in other_dates:
-            date = _other_date(table, column) or ""
+        for column, wrong in unread.items():
             warn_user(
-                f"The dates in {column!r}, such as {date!r}, are not in the form of ISO 8601 and do not "
-                f"count: each row is one step of dt, and gaps are lost. Write the dates as {iso_of(date)}."
+                f"The dates in {column!r} do not count: each row is one step of dt, and gaps are lost. The dates, such as "
+                f"{wrong}."
             )
         return Rows(rational_step(dt), 0.0, np.arange(len(table)), None)
-    time = time or next(iter(other_dates), None)
+    time = time or next(iter(unread), None)
     t = _times(table, time, "give dt= in seconds" if dt is None else "leave it out")
     step, at = _evenly(t, time) if dt is None else _nearest(t, rational_step(dt))
     return Rows(step, float(t[0]), at, time)
 
 
-def _other_date(table: pd.DataFrame, column: str) -> str | None:
-    return other_date(table[column]) if list(table.columns).count(column) == 1 else None
+def _unread(table: pd.DataFrame, column: str) -> str | None:
+    """Return why the dates of a column are not read; None if it has no such dates."""
+    return what_is_wrong(table[column]) if list(table.columns).count(column) == 1 else None
 
 
 def _times(table: pd.DataFrame, time: str | None, otherwise: str) -> Floats:
@@ -122,11 +122,8 @@ def _times(table: pd.DataFrame, time: str | None, otherwise: str) -> Floats:
             f"columns: {', '.join(map(str, table.columns[:12]))}{', ...' * (len(table.columns) > 12)}."
         )
     single = list(table.columns).count(time) == 1
-    if date := _other_date(table, time):
-        only = otherwise.replace("dt=", "only dt=")
-        raise StepSizeError(
-            f"The dates in {time!r}, such as {date!r}, are not in the form of ISO 8601. Write them as {iso_of(date)}, or {only}."
-        )
+    if wrong := _unread(table, time):
+        raise StepSizeError(f"The dates in {time!r}, such as {wrong}, or {otherwise.replace('dt=', 'only dt=')}.")
     if not single or (table[time].dtype.kind not in "fiu" and not are_dates(table[time])):
         raise StepSizeError(
             f"The column {time!r} does not contain numbers. Convert the times to seconds, or {otherwise}."
