@@ -63,6 +63,8 @@ CUTS = (1e6, 300.0, 100.0, 30.0, 10.0, 6.0)
 
 After a loss of the plant, such as a fallen pendulum, no linear model holds; the cause shows before."""
 
+COMPARING = "Comparing the samples with the model, for seconds to a minute."
+
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
@@ -187,6 +189,7 @@ class ModelFinding:
         return table("The model", rows)
 
 
+@reported(COMPARING)
 def diagnose(
     signals: Mapping[str, Any], controller: Any, *, y: str | None = None, name: str = "controller"
 ) -> ModelFinding | None:
@@ -393,6 +396,7 @@ def compared_samples(model: LinearModel | NonlinearModel, samples: int) -> int:
     return 0 if samples < LEAST_SAMPLES or observers(model) is None else min(samples, MOST_SAMPLES)
 
 
+@reported(COMPARING)
 def diagnose_recording(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0
 ) -> ModelFinding | None:
@@ -435,6 +439,7 @@ def diagnose_recording(
     return _finding(model, y, u, initial_mean, alone=False)
 
 
+@reported(COMPARING)
 def diagnose_inputs(
     model: LinearModel, y: Floats, u: Floats, initial_mean: Floats, probability: Floats | None = None
 ) -> ModelFinding | None:
@@ -492,7 +497,6 @@ def _finding(
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
 
 
-@reported("Comparing the samples with the model, for seconds to a minute.")
 @np.errstate(all="ignore")  # of a plant that is lost, or a model that is far off: what is not finite explains nothing
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices this small take several times as long on several threads
 def best_explanations(

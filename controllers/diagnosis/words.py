@@ -353,9 +353,14 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
 def _noise_of_load(load: int, std: float, model: LinearModel) -> str:
     """Return the sentence about a load on a control that changes faster than the model says."""
     on = f" on {model.names.controls[load]}" if model.names else f" on control {load}" if model.controls > 1 else ""
-    known = float(np.diag(model.matrix("process_covariance"))[load - model.disturbances])
+    every = np.diag(model.matrix("process_covariance"))[-model.disturbances :][: model.controls]
+    known, larger = every[load], every + std**2 * (np.arange(len(every)) == load)
+    use = f"disturbance={larger[load]:.2g} instead of {known:.2g}"
+    if len(every) > 1:
+        listed = ", ".join(f"{each:.2g}" for each in larger)
+        use = f"disturbance=[{listed}] ({larger[load]:.2g} instead of {known:.2g})"
     return (
-        f"a load{on} changes faster than the model says. Use about disturbance={known + std**2:.2g} instead of {known:.2g} in "
+        f"a load{on} changes faster than the model says. Use about {use} in "
         "design and in a scenario (of a LinearModel: with_disturbance), or say where process noise acts (noise)."
     )
 
@@ -372,10 +377,21 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     average = f", on average by {mean:.3g}{unit}" if mean else ""
     quick = float(model.step) <= USUAL_STEP
     lasting = ", or disturbance=True: if the load lasts, its estimate follows sooner" if mean and quick else ""
+    size = f"{std**2:.2g}"
+    if model.controls == 1:
+        how = (
+            f"(about disturbance={size} in design and in a scenario, the variance of its change in each sample{lasting}; of a "
+            f"LinearModel: with_disturbance({size})), or say where process noise acts (noise)."
+        )
+    else:  # a single number would be that of every control, too large for one with another unit
+        how = (
+            "with disturbance=True in design and in a scenario, or say where process noise acts (noise). (Its change in each "
+            f"sample has a variance of about {size}. Of a LinearModel, give with_disturbance a list with this number, and small "
+            "positive ones for the other controls.)"
+        )
     return (
         f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
-        f"(about disturbance={std**2:.2g} in design and in a scenario{lasting}; of a LinearModel: "
-        f"with_disturbance({std**2:.2g})), or say where process noise acts (noise).{less}"
+        f"{how}{less}"
     )
 
 
@@ -406,7 +422,10 @@ def _loss(values: Sequence[float], model: LinearModel, units: Sequence[str | Non
     if len(values) > STUCK_AT:
         unit = behind(units[int(values[3])]) if len(units) == model.controls else ""
         return f"{control} is stuck at about {values[STUCK_AT]:.3g}{unit} {since(values)}. Look for a fault of the actuator."
-    return f"{control} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator."
+    return (
+        f"{control} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator. If the plant is "
+        "then at another operating point, its nonlinearity looks the same: design for that point (at=...)."
+    )
 
 
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:

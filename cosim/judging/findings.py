@@ -585,7 +585,7 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
         if 2 * _missed(signals, i)[wrongly].sum() > wrongly.sum():
             third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
             return (
-                f"Meanwhile {signals.sensor_name(i)} has a fault that is not seen. A slow fault of one sensor may look like one "
+                f"Meanwhile {signals.sensor_name(i)} has a fault and is not blamed. A slow fault of one sensor may look like one "
                 f"of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
             )
     if quantity.belief is None or quantity.spread is None:

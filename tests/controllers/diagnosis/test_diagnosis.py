@@ -1305,6 +1305,17 @@ def test_a_controller_that_infers_no_faults_says_so_of_a_load(precision, record,
     assert ("this controller does not infer them" in finding.sentence) == said
 
 
+def test_a_load_on_one_of_several_controls_gives_the_others_no_load_of_its_size():
+    names = controllers.SignalNames(controls=["feed", "stirrer"], sensors=["o", "b"], states=["o", "b"])
+    model = controllers.LinearModel(np.diag([0.9, 0.8]), np.eye(2), np.eye(2), 1e-3, 0.01, dt=10.0, names=names)
+    words = sentence("noise", (3.0, 0.37, 0.0, 1.0), model)
+    assert "a change of the control stirrer. Estimate it with disturbance=True in design" in words
+    assert "variance of about 0.14" in words
+    larger = sentence("noise", (3.0, 0.37, 0.0, 1.0), model.with_disturbance([1e-4, 1.0]))
+    assert "a load on stirrer changes faster" in larger
+    assert "Use about disturbance=[0.0001, 1.1] (1.1 instead of 1) in design" in larger
+
+
 def test_offsets_of_several_quantities_are_doubted_first():
     model = controllers.LinearModel(np.eye(2), np.ones((2, 1)), np.eye(2)[[0, 0, 1, 1]], 1e-3, [0.01] * 4, dt=0.1)
     values = (1.0, 1.0, 2.0, 2.0)

@@ -212,7 +212,7 @@ def two_sensors(alarm, faulty, missed):
 def test_a_fault_that_is_missed_beside_a_sensor_that_is_blamed_is_the_reason():
     late = np.arange(100) >= 40
     advice = advice_on(two_sensors(late.astype(float), late, np.zeros(100)), 1)
-    assert advice.startswith("Meanwhile sensor 0 has a fault that is not seen.")
+    assert advice.startswith("Meanwhile sensor 0 has a fault and is not blamed.")
     assert "Look at the model" in advice_on(two_sensors(late.astype(float), ~late, np.zeros(100)), 1)
     assert "Look at the model" in advice_on(two_sensors(late.astype(float), late, late.astype(float)), 1)
 

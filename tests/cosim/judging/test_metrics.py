@@ -306,7 +306,7 @@ def test_what_is_measured_by_a_function_has_no_belief_and_what_the_goal_is_for_h
     assert found.tracking["position"].overall == pytest.approx(rmse(result["plant.position"] - 1.0))
     assert np.isnan([found.belief["speed"].overall, found.tracking["speed"].overall]).all()
     notes = " ".join(_notes(SimpleNamespace(controller=loop["controller"].block), signals))
-    assert "No tracking error of speed: the goal is for position." in notes
+    assert "No tracking error of 'speed': the goal is for 'position'." in notes
     assert "speed has no error of the belief" in notes
     assert "record" not in notes
     assert "position has" not in notes

@@ -248,11 +248,11 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
     goals, others = ([q.name for q in signals.quantities if q.has_goal == has_goal] for has_goal in (True, False))
     if others:
         of = (
-            f"the goal is for {' and '.join(goals)}"
+            f"the goal is for {' and '.join(map(repr, goals))}"
             if goals
             else "there is no goal for " + ("it" if len(others) == 1 else "them")
         )
-        notes.append(f"No tracking error of {', '.join(others)}: {of}.")
+        notes.append(f"No tracking error of {', '.join(map(repr, others))}: {of}.")
     for quantity in signals.quantities:
         if quantity.only_ahead:
             notes.append(
