@@ -25,8 +25,9 @@ GROWS = 1.5
 FINE, FINEST, SMALL = 1e-10, 1e-6, 1e-9
 """Smallest step: relative to an element's size, or to 1 for smaller elements; to the size of these; and the least size there."""
 
-ABOVE, MOST = 10.0, 1e-6
-"""Growth counts if it is so many times larger than the rounding of the function; the largest rounding, relative to its values."""
+ABOVE, MOST = 10.0, 1e-5
+"""Growth counts if it is so many times larger than the rounding of the function's value, and than this share of its change with
+the largest step: it may be the sum of much larger values, whose rounding looks like growth, or like a kink."""
 
 ALIKE, STRAIGHT = 1e-10, 1e-6
 """The search ends if two slopes differ by less than the first share of the slope, and bend by less than the second."""
@@ -71,26 +72,25 @@ def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> t
     chosen, least, kinks = np.full(rows, np.nan), np.full(rows, np.inf), np.zeros(rows, bool)
     lost, steepest = np.zeros(rows, bool), np.zeros(rows)
     before: tuple[Floats, Floats] | None = None
-    sizes, noise = _steps(abs(float(at[j]))), None
-    for size in sizes:
+    for size in _steps(abs(float(at[j]))):
         above, below = (_value(f, at, j, sign * size) for sign in (1.0, -1.0))
         if above is None or below is None:
             continue
         step = ((at[j] + size) - (at[j] - size)) / 2  # the step after rounding beside the element
         slope, bend = (above - below) / (2 * step), np.abs(above - 2 * here + below) / step
         rounding = 4 * np.finfo(np.float64).eps * np.abs(here) / step
-        if before is not None:
+        if before is None:
+            noise = MOST * np.maximum(np.abs(above - here), np.abs(below - here))
+        else:
             lost |= (slope == 0) & (before[0] != 0) & (bend <= rounding)  # the step is too small to have an effect
-            grown = _grown(slope, bend, before) & ~lost
-            if grown.any():
-                noise = _noise(f, at, j, here, sizes) if noise is None else noise
-                grown &= _grown(slope, bend, before, ABOVE * np.maximum(noise / step, rounding))
+            grown = _grown(slope, bend, before, np.maximum(noise / step, ABOVE * rounding)) & ~lost
             error = np.where(grown, np.inf, np.abs(slope - before[0]) + rounding)
             least[grown] = np.inf  # the steps before do not count, unless there is no smaller one, as beside a jump
             better = ((error < least) | np.isnan(chosen)) & ~lost
             chosen[better], least[better] = slope[better], error[better]
             # For a smooth function a tenth of the step gives a tenth of the bend.
-            sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope)) & (bend > 1e3 * rounding)
+            sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope))
+            sharp &= bend > np.maximum(1e3 * rounding, noise / step)
             # The bend of a drag v|v| beside its zero is constant, and next to nothing.
             sharp &= bend > SMOOTH * steepest
             kinks[better] = sharp[better]
@@ -100,25 +100,10 @@ def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> t
     return chosen, kinks | (np.isinf(least) & np.isfinite(chosen))
 
 
-def _grown(slope: Floats, bend: Floats, before: tuple[Floats, Floats], least: Floats | float = 0.0) -> Floats:
+def _grown(slope: Floats, bend: Floats, before: tuple[Floats, Floats], least: Floats) -> Floats:
     """Return where slope or bend are larger than with a step ten times as large, and than the least that counts."""
     pairs = (np.abs(slope), np.abs(before[0])), (bend, before[1])
     return np.asarray(np.any([now > np.maximum(GROWS * larger, least) for now, larger in pairs], axis=0))
-
-
-def _noise(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats, sizes: list[float]) -> Floats:
-    """Return the rounding of a function's values, which may be sums of much larger ones, by changes with the smallest step.
-
-    A change that is not small beside the changes with the largest step is no rounding but a jump.
-    """
-
-    def change(step: float) -> Floats:
-        values = (_value(f, at, j, sign * step) for sign in (1.0, -1.0))
-        changes = (np.abs(value - here) for value in values if value is not None)
-        return np.asarray(np.max([np.zeros(len(here)), *changes], axis=0))
-
-    smallest = np.max([change(share * sizes[-1]) for share in (1.0, 0.7, 0.5)], axis=0)
-    return np.asarray(np.minimum(smallest, MOST * np.maximum(change(sizes[0]), np.abs(here))))
 
 
 def _steps(size: float) -> list[float]:

@@ -47,6 +47,20 @@ def test_a_feature_that_is_narrow_beside_the_largest_steps_is_found(width):
     assert not kink
 
 
+@pytest.mark.parametrize("x", [0.0, -2.3e-33, 1e-17, 7.9e-5])
+@pytest.mark.parametrize("balance", [1.0, 1e3, 1e6])
+def test_the_rounding_of_balanced_terms_is_no_kink(x, balance):
+    """The temperature of a converter: losses by the squares of two currents, one of which is about zero, and cooling."""
+    here = 0.4 * (21.0**2 + x**2)
+
+    def f(z):
+        return np.array([balance * (0.4 * (21.0**2 + z[0] ** 2) - here), balance * (z[0] + 404.0) - balance * 404.0])
+
+    found, kink = slopes(f, np.array([x]))
+    assert not kink
+    np.testing.assert_allclose(found[:, 0] / balance, [0.8 * x, 1.0], atol=1e-6)
+
+
 def test_a_jump_is_said_and_a_number_that_is_missing_has_no_effect():
     assert slopes(np.sign, np.zeros(1))[1]
     found, _ = slopes(lambda z: np.array([z[0] ** 2, 1.0]), np.array([3.0, np.nan]))
