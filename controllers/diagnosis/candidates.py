@@ -240,8 +240,8 @@ def _with_noise(judge: Judge, belief: Floats) -> list[Explanation]:
     def tried(noises: list[Floats]) -> list[tuple[Explanation, Floats]]:
         found = [(noise, _noisy(model, judge.bank.sensors, tuple(noise.tolist()))) for noise in noises if noise.any()]
         possible = [(*_size(noise), *changed) for noise, changed in found if changed is not None]
-        judged = _by_models(judge, "noise", possible)
-        return list(zip(judged, (noise for noise, changed in found if changed is not None), strict=True))
+        noise_of = {_size(noise)[0]: noise for noise, _ in found}  # of some, the observers diverge
+        return [(x, noise_of[x.values]) for x in _by_models(judge, "noise", possible)]
 
     each = np.diag(belief)
     of_all = np.where(np.arange(len(belief)) < plant, belief, 0.0)

@@ -63,6 +63,9 @@ CUTS = (1e6, 300.0, 100.0, 30.0, 10.0, 6.0)
 
 After a loss of the plant, such as a fallen pendulum, no linear model holds; the cause shows before."""
 
+FITS = 1.5
+"""Mean square of the innovations of all sensors, relative to the expected one, up to which they fit the model."""
+
 COMPARING = "Comparing the samples with the model, for seconds to a minute."
 
 SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
@@ -534,6 +537,7 @@ def best_explanations(
             continue
         found = explanations(judge)
         counting = _with_fitted_noise(judge, found) if alone or any(x.counts for x in found) else []
+        counting = _of_all_sensors(judge, counting)
         near = [x for x in counting if _near(x, counting[0])]
         kinds = {x.kind for x in near}
         near = [x for x in near if not WHOLE.get(x.kind, set()) & kinds]
@@ -550,6 +554,24 @@ def best_explanations(
         if rank > best:
             fallback, best = near, rank
     return fallback
+
+
+def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanation]:
+    """Return the explanations that all sensors together support, too; all if the sensors fit the model badly.
+
+    The control follows all sensors. To the filter of some of them it therefore tells something about the plant that this filter
+    does not know. Beside a constant goal nothing else moves the control, and a slower plant, for example, explains it better than
+    the right model. The filter of all sensors knows what the control knows.
+    """
+    every = tuple(sorted({i for chosen in judge.bank.sensors for i in chosen}))
+    bank = observers(judge.model, (every,)) if counting and len(judge.bank) > 1 else None
+    if bank is None:
+        return counting
+    whole = Judge(judge.model, bank, judge.recording)
+    if float(whole.first_squares.max()) > FITS:
+        return counting
+    supported = {x.kind for x in _counting(whole, explanations(whole))}
+    return [x for x in counting if x.kind in supported]
 
 
 def _with_fitted_noise(judge: Judge, found: list[Explanation]) -> list[Explanation]:

@@ -96,6 +96,8 @@ class Judge:
         of_sets = [present[:, list(chosen)] for chosen in bank.sensors]
         # Without slow sensors, a step at which one of a set is missing does not count: the filter expects all of them.
         self.masks = of_sets if recording.presence else [x & x.all(axis=1, keepdims=True) for x in of_sets]
+        # A filter that loses its covariance in rounding says nothing from then on.
+        self.masks = [mask & np.isfinite(white[k, 0][:, list(bank.sensors[k])]) for k, mask in enumerate(self.masks)]
         self.rows = [int(mask.any(axis=1).sum()) for mask in self.masks]
         self.begin = self.beginnings(white)
         self.first, self.first_squares = self.cost(self.base, bank, self.begin)
@@ -117,7 +119,8 @@ class Judge:
         """
         bases = []
         for k in range(len(self.bank)):
-            u, s, _ = np.linalg.svd(self.part(white, k)[1:].T, full_matrices=False)
+            effects = np.nan_to_num(self.part(white, k)[1:])  # of a filter that is lost, whose cost is infinite
+            u, s, _ = np.linalg.svd(effects.T, full_matrices=False)
             bases.append(u[:, s > 1e-9 * s.max(initial=1e-300)])
         return bases
 

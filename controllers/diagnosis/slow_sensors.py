@@ -116,8 +116,11 @@ def _step(
     inverse = np.linalg.inv(root)
     scaled = inverse @ (seen @ P)
     whiten = inverse * there[:, :, np.newaxis] * there[:, np.newaxis]
-    P = A @ (P - scaled.swapaxes(1, 2) @ scaled) @ A.swapaxes(1, 2) + Q
-    return forward @ scaled.swapaxes(1, 2) @ inverse, whiten, (P + P.swapaxes(1, 2)) / 2.0
+    gain = scaled.swapaxes(1, 2) @ inverse
+    # Joseph's form: a difference of covariances loses its sign for states of very different sizes.
+    move, spread = A @ (np.eye(P.shape[1]) - gain @ seen), A @ gain
+    P = move @ P @ move.swapaxes(1, 2) + spread @ noise @ spread.swapaxes(1, 2) + Q
+    return forward @ gain, whiten, (P + P.swapaxes(1, 2)) / 2.0
 
 
 def _roots(S: Floats) -> Floats:

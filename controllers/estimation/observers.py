@@ -39,6 +39,9 @@ FORGOTTEN = 0.02
 UNSEEN = 1e-13
 """Smallest singular value in Hautus' test of a mode that sensors do not see."""
 
+HARDLY_SEEN = 1e6
+"""A fading memory that makes a variance so many times larger would have forgotten a mode that the sensors hardly see."""
+
 
 @dataclass(frozen=True, eq=False)
 class Observers:
@@ -162,6 +165,8 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
             root, gain = np.linalg.cholesky(S), np.linalg.solve(S, C @ P).T
         except (ModelError, np.linalg.LinAlgError):  # the second where P is so large that R is lost in the rounding
             continue
+        if best is not None and (np.diag(P) > HARDLY_SEEN * np.diag(best[3])).any():
+            break
         after = faded @ (P - gain @ C @ P) @ faded.T
         noise = Q + (1.0 - slowest**2) * (after + after.T) / 2.0  # an ordinary filter with this noise has the same gain
         pole = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())
