@@ -39,7 +39,10 @@ SKIPPED = 200
 
 PARTS = 20
 """Parts of the test, one after the other. Their scatter shows the noise of the calibration error, since samples of a fault depend
-on each other."""
+on each other. In each part at least one fault of each sensor begins on average, so there are fewer parts where faults are few."""
+
+USUAL_STEPS, MOST_STEPS = 80_000, 1_000_000
+"""Least and largest default of steps."""
 
 
 class Hazards(NamedTuple):
@@ -71,6 +74,11 @@ class Hazards(NamedTuple):
         return cls(*(_longer(step) * seconds for seconds in cls()))
 
 
+def needed_steps(hazards: tuple[float, float], step: Fraction) -> int:
+    """Return the steps of a run whose test has enough faults for a verdict: half as many more, since their number is random."""
+    return SKIPPED + round(1.5 * PARTS * sum(hazards) / float(step) / (1.0 - TRAINING_SHARE))
+
+
 def _longer(step: Fraction) -> float:
     """Return the factor by which faults last longer with a sample time above 0.1 s."""
     return max(1.0, float(step) / 0.1)
@@ -94,10 +102,15 @@ class CalibrationReport:
         Share of faulty samples.
     samples : int
         Number of samples in the test: those of all sensors in the last fifth of the run.
+    faults : int
+        Number of faults of all sensors that begin in the test. With less than 20 for each sensor the numbers are no basis for a
+        verdict.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
     calibration_error_interval : tuple of float
-        The 95 % interval of the calibration error, by the scatter of twenty parts of the test.
+        The 95 % interval of the calibration error, by the scatter of at most twenty parts of the test, in each of which one fault
+        of each sensor begins on average. It is wide enough for misjudged faults so rare that the test has none. NaN with less
+        than two parts.
     sensors : tuple of Reliability
         The reliability of each sensor's probability.
 
@@ -117,6 +130,7 @@ class CalibrationReport:
     calibration_error: float
     fault_share: float
     samples: int
+    faults: int = 0
     reliability: Reliability | None = field(default=None, repr=False, compare=False)
     calibration_error_interval: tuple[float, float] = field(default=(NAN, NAN), repr=False, compare=False)
     sensors: tuple[Reliability, ...] = field(default=(), repr=False, compare=False)
@@ -133,7 +147,7 @@ def calibrate(
     precision: PrecisionLearner | None = None,
     reference: Block | float | Sequence[Block | float] | None = None,
     feature: Literal["log", "linear"] = "log",
-    steps: int = 80_000,
+    steps: int | None = None,
     seed: int = 0,
     **controller: Any,
 ) -> CalibrationReport:
@@ -162,9 +176,10 @@ def calibrate(
         healthy one.
     feature : {"log", "linear"}
         Whether the map is linear in log(beta) or in beta.
-    steps : int
-        Length of the simulated run in steps. An estimated load (`LinearModel.with_disturbance`) does not move in it if the
-        control has limits: a random walk would leave them.
+    steps : int, optional
+        Length of the simulated run in steps. By default 80 000, or for rare or long faults as many as the test needs for 30
+        faults of each sensor, but at most 1 000 000. An estimated load (`LinearModel.with_disturbance`) does not move in it if
+        the control has limits: a random walk would leave them.
     seed : int
         Seed of noise and faults.
     **controller : Any
@@ -229,7 +244,7 @@ def judge_own_probability(
     *,
     precision: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None = None,
-    steps: int = 80_000,
+    steps: int | None = None,
     seed: int = 0,
     **controller: Any,
 ) -> CalibrationReport:
@@ -273,11 +288,9 @@ def _judged(
 ) -> CalibrationReport:
     from sklearn.metrics import roc_auc_score
 
-    from bayesftc.cosim import statistics
-
     probability, faulty = probability.reshape(len(probability), -1), faulty.reshape(len(faulty), -1)
     quality = reliability(probability, faulty, equal="widths")
-    parts = [np.array_split(values, PARTS) for values in (probability, faulty)]
+    faults = int(np.count_nonzero(faulty[1:] & ~faulty[:-1]))
     return CalibrationReport(
         calibration=calibration,
         auc=float(roc_auc_score(faulty.ravel(), score.ravel())),
@@ -286,10 +299,29 @@ def _judged(
         calibration_error=quality.calibration_error,
         fault_share=float(faulty.mean()),
         samples=probability.size,
+        faults=faults,
         reliability=quality,
-        calibration_error_interval=statistics.calibration(*parts, equal="widths").calibration_error_interval,
+        calibration_error_interval=_interval(probability, faulty, faults / faulty.shape[1]),
         sensors=tuple(reliability(*sensor, equal="widths") for sensor in zip(probability.T, faulty.T, strict=True)),
     )
+
+
+def _interval(probability: Floats, faulty: np.ndarray[Any, np.dtype[np.bool_]], faults: float) -> tuple[float, float]:
+    """Return the 95 % interval of the calibration error, given the mean number of faults of a sensor.
+
+    The parts do not show faults that are seldom misjudged, and of which the test has none. Their share may be that of an event
+    that did not occur in so many faults (Clopper and Pearson 1934). While such a fault lasts, the probability of its sensor may
+    be 0, and that of a healthy sensor 1. The faults of several sensors count as one, because sensors are misjudged together.
+    """
+    from bayesftc.cosim import statistics
+
+    parts = min(PARTS, int(faults))
+    if parts < 2:
+        return NAN, NAN
+    found = statistics.calibration(np.array_split(probability, parts), np.array_split(faulty, parts), equal="widths")
+    (low, high), error = found.calibration_error_interval, found.pooled.calibration_error
+    unseen = (1.0 - 0.025 ** (1.0 / faults)) * 2.0 * float(faulty.mean())
+    return max(min(low, error - unseen), 0.0), min(max(high, error + unseen), 1.0)
 
 
 def _simulated(
@@ -299,20 +331,22 @@ def _simulated(
     magnitudes: Mapping[str, float | Sequence[float]],
     learner: PrecisionLearner,
     reference: Block | float | Sequence[Block | float] | None,
-    steps: int,
+    steps: int | None,
     seed: int,
     controller: Mapping[str, Any],
 ) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
     """Simulate a run; return an output of the controller for each sensor, and whether the sensor was faulty."""
     if not isinstance(model, LinearModel):
         raise ModelError(f"calibrate needs a LinearModel, such as controller.model, not {brief(model)}.")
-    if steps < 5_000:
+    if steps is not None and steps < 5_000:
         raise ModelError(f"calibrate has steps={steps}; give at least 5000, for enough faults.")
     unknown = set(magnitudes) - {"injection", "drift"}
     if unknown:
         raise ModelError(f"calibrate has the unknown magnitude {sorted(unknown)[0]!r}; give 'injection' and 'drift'.")
     hazards = Hazards.usual(model.step) if hazards is None else hazards
     _check_hazards(hazards, model)
+    if steps is None:
+        steps = min(max(USUAL_STEPS, needed_steps(hazards, model.step)), MOST_STEPS)
     sizes = simulated_sizes(model, magnitudes)
     record = [f"controller.{output}", *(f"{_fault_name(i)}.active" for i in range(model.sensors))]
     # The plant's outputs are all its states, of which the sensors may leave some out.

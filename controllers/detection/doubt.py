@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from bayesftc.controllers.detection.calibration import PARTS, TRAINING_SHARE
 
 if TYPE_CHECKING:
     from bayesftc.controllers.detection.calibration import CalibrationReport
@@ -44,6 +47,26 @@ def doubt(report: CalibrationReport, sensors: Sequence[str] | None = None) -> st
     )
 
 
+def too_few(report: CalibrationReport, steps: int) -> str:
+    """Return that a report has too few faults for a verdict, good or bad; empty if it has enough.
+
+    Parameters
+    ----------
+    report : CalibrationReport
+        The quality of the probabilities.
+    steps : int
+        The steps of a run that is expected to have enough faults.
+    """
+    sensors = len(report.sensors)
+    if report.faults >= PARTS * sensors:
+        return ""
+    run = report.samples / sensors / (1.0 - TRAINING_SHARE)  # it may be as long as expected, and have few by chance
+    return (
+        f"There are too few faults in the test to say whether these probabilities are reliable: {report.faults} begin in it, of "
+        f"at least {PARTS * sensors}. Give --steps {1000 * math.ceil(max(steps, 1.5 * run) / 1000)}."
+    )
+
+
 def _loss(sensor: Reliability) -> float:
     """Return by how much the Brier score is worse than that of a constant; negative if it is better."""
     return sensor.brier - sensor.brier_of_constant
@@ -54,4 +77,4 @@ def _mean(of_bins: Floats, sensor: Reliability) -> float:
     return float(np.nansum(of_bins * sensor.samples) / sensor.samples.sum())
 
 
-__all__ = ["doubt"]
+__all__ = ["doubt", "too_few"]

@@ -65,7 +65,7 @@ def test_errors_name_the_options(tmp_path):
 
 
 def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
-    options = ["calibrate", "cruise_control", "--steps", "6000", "--seed", "3"]
+    options = ["calibrate", "cruise_control", "--steps", "25000", "--seed", "3"]
     done = RUNNER.invoke(app, [*options, "--json"])
     assert done.exit_code == 0, done.output
     report = json.loads(done.output)
@@ -80,7 +80,31 @@ def test_of_a_learner_that_gives_a_probability_it_is_said_how_good_it_is():
     )
     assert f"On {report['samples']} samples of the 2 sensors, the last fifth of the run, " in said
     assert "average, and the next one begins 2.8 s after it on average." in said
+    assert f"of them in fault ({report['faults']} faults begin): AUC" in said
     assert "Do not rely" not in said
+    assert "too few faults" not in said
+    low, high = report["calibration_error_interval"]
+    assert f"calibration error {report['calibration_error']:.3f} (95 % interval {low:.3f} to {high:.3f})." in said
+
+
+def test_of_few_faults_there_is_no_verdict_but_the_steps_that_it_needs(tmp_path):
+    """The probabilities are wrong, see above, but six faults do not show it. With the named or the default steps they do."""
+    lines = "kind = 'SwitchingPrecision'\nmodes = [{ kind = 'Offset', time_to_fault = 1e12, time_to_recovery = 1e6 }]"
+    file = tmp_path / "car.toml"
+    file.write_text(re.sub(r"^kind = \"SwitchingPrecision\".*$", lines, SHIPPED, flags=re.M), encoding="utf-8")
+    options = ["calibrate", str(file), "--injection", "0.5", "--drift", "0.1"]
+    options += ["--time-to-fault", "10", "--time-to-recovery", "10"]
+    said = " ".join(RUNNER.invoke(app, [*options, "--steps", "10000"]).output.split())
+    assert "Do not rely" not in said
+    few = re.search(r"There are too few faults in the test to say .*: (\d) begin in it, of at least 40\.", said)
+    assert few
+    assert f"({few.group(1)} faults begin)" in said
+    steps = re.search(r"Give --steps (\d+)\.", said)
+    assert steps
+    for enough in ([], ["--steps", steps.group(1)]):
+        said = " ".join(RUNNER.invoke(app, [*options, *enough]).output.split())
+        assert "Do not rely on these probabilities for such faults: their Brier" in said
+        assert "too few faults" not in said
 
 
 def test_probabilities_that_are_not_to_be_trusted_are_named_with_the_worst_sensor(tmp_path):
@@ -93,7 +117,7 @@ def test_probabilities_that_are_not_to_be_trusted_are_named_with_the_worst_senso
         "calibrate",
         str(file),
         "--steps",
-        "6000",
+        "40000",
         "--injection",
         "0.5",
         "--drift",

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
+from bayesftc.controllers.detection import calibration
 from bayesftc.controllers.detection.calibration import (
     _default_amplitudes,
     judge,
@@ -108,6 +109,51 @@ def test_a_map_of_pure_noise_is_found_out():
     assert report.auc == pytest.approx(0.5, abs=0.03)
     assert report.brier > report.brier_of_constant
     assert report.calibration_error > 0.2
+
+
+def lasting(rng, steps, share=0.1):
+    """Return logits and labels of two sensors with faults of 50 steps every 300, a share of them missed throughout."""
+    logit, faulty = np.full((steps, 2), -6.0), np.zeros((steps, 2), dtype=bool)
+    for sensor in range(2):
+        at = rng.exponential(250.0)
+        while at < steps:
+            some = slice(int(at), int(at + 1.0 + rng.exponential(50.0)))
+            faulty[some, sensor] = True
+            logit[some, sensor] = -6.0 if rng.random() < share else 6.0
+            at = some.stop + 1.0 + rng.exponential(250.0)
+    return logit, faulty
+
+
+@pytest.mark.parametrize("cycles", [3, 10, 40])
+def test_the_interval_contains_the_error_of_a_long_run(cycles):
+    """However few faults a test has: many short tests have no missed fault, and twenty parts of them hardly scatter."""
+    rng, same = np.random.default_rng(0), controllers.Calibration(1.0, 0.0)
+    truth = judge(same, *lasting(rng, 1_000_000)).calibration_error
+    found = [judge(same, *lasting(rng, 300 * cycles)) for _ in range(100)]
+    intervals = np.array([report.calibration_error_interval for report in found])
+    intervals = intervals[~np.isnan(intervals).any(axis=1)]
+    assert len(intervals) > 70
+    assert ((intervals[:, 0] <= truth) & (truth <= intervals[:, 1])).mean() >= 0.93
+    if cycles == 40:  # it is no wider than it need be
+        assert np.ptp(intervals, axis=1).mean() < 0.06
+
+
+def test_faults_are_counted_by_their_onsets_in_the_test():
+    faulty = np.array([[1, 0], [0, 0], [1, 1], [1, 0], [0, 1], [1, 1], *[[0, 0]] * 6], dtype=bool)
+    report = judge(controllers.Calibration(1.0, 0.0), np.where(faulty, 2.0, -2.0), faulty)
+    assert report.faults == 4
+    faulty[1:, 0] = False  # the one of sensor 0 began before
+    assert judge(controllers.Calibration(1.0, 0.0), np.where(faulty, 2.0, -2.0), faulty).faults == 2
+
+
+@pytest.mark.parametrize(("most", "steps"), [(1_000_000, 105_200), (90_000, 90_000)])
+def test_steps_follow_the_times_of_the_faults_up_to_a_bound(monkeypatch, most, steps):
+    """30 cycles of 700 steps are a fifth of 105 000."""
+    monkeypatch.setattr(calibration, "MOST_STEPS", most)
+    report = controllers.calibrate(MODEL, controllers.Hazards(12.0, 2.0))
+    assert report.samples == 2 * (steps + 1 - 200 - int(0.8 * (steps + 1 - 200)))
+    if steps < most:
+        assert report.faults >= 40
 
 
 def test_a_slow_plant_is_calibrated_without_settings():

@@ -1,11 +1,13 @@
 """Probabilities that are not to be trusted are named; right ones are not, however few samples there are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bayesftc import controllers
 from bayesftc.controllers.detection.calibration import judge
-from bayesftc.controllers.detection.doubt import doubt
+from bayesftc.controllers.detection.doubt import doubt, too_few
 
 MAP = controllers.Calibration(1.0, 0.0)
 """The feature is the logit of the probability."""
@@ -50,3 +52,13 @@ def test_the_numbers_of_the_worst_sensor_are_those_of_its_samples():
     share = float(np.nansum(sensor.observed * sensor.samples) / sensor.samples.sum())
     assert sensor.samples.sum() == 4000
     assert f"it is in fault in {share:.1%} of its samples." in doubt(judged)
+
+
+def test_enough_faults_are_twenty_of_each_sensor_and_more_steps_are_named_than_the_run_had():
+    judged = report()
+    assert too_few(judged, 5000) == ""
+    assert too_few(replace(judged, faults=60), 5000) == ""
+    few = replace(judged, faults=59)
+    assert "59 begin in it, of at least 60. Give --steps 400000." in too_few(few, 400_000)
+    # 4000 steps in the test are a run of 20 000, which had few faults by chance
+    assert 30_000 <= int(too_few(few, 5000).split()[-1].strip(".")) <= 31_000

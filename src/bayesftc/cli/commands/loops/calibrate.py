@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import asdict, fields, replace
+from math import isnan
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,8 +14,13 @@ import typer
 from bayesftc import controllers
 from bayesftc.cli import output
 from bayesftc.cli.options import AScenario, Json, by_options
-from bayesftc.controllers.detection.calibration import default_sizes, judge_own_probability, simulated_sizes
-from bayesftc.controllers.detection.doubt import doubt
+from bayesftc.controllers.detection.calibration import (
+    default_sizes,
+    judge_own_probability,
+    needed_steps,
+    simulated_sizes,
+)
+from bayesftc.controllers.detection.doubt import doubt, too_few
 from bayesftc.controllers.precision.rate import RateLearner
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.probabilities import Reliability
@@ -55,8 +61,12 @@ def calibrate(
         ),
     ] = None,
     steps: Annotated[
-        int, typer.Option(help="Length of the simulated run in steps; the last fifth is the test.")
-    ] = 80_000,
+        int | None,
+        typer.Option(
+            help="Length of the simulated run in steps; the last fifth is the test. By default 80000, or up to 1000000 for rare "
+            "or long faults."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of its noise and faults.")] = 0,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help=f"Write {DIAGRAM} and {NUMBERS} there.")
@@ -113,17 +123,21 @@ def calibrate(
         return
     c = report.calibration
     typer.echo(_simulated(hazards, sizes, controller.model, magnitudes))
+    low, high = report.calibration_error_interval
+    interval = "" if isnan(low) else f" (95 % interval {low:.3f} to {high:.3f})"
     sensors = f"the {len(report.sensors)} sensors" if len(report.sensors) > 1 else "the sensor"
     typer.echo(
         f"On {report.samples} samples of {sensors}, the last fifth of the run{'' if c is None else ', not used for the fit'}, "
-        f"{report.fault_share:.1%} of them in fault: "
+        f"{report.fault_share:.1%} of them in fault ({report.faults} faults begin): "
         f"AUC {report.auc:.3f}, Brier score {report.brier:.4f} (of a constant: {report.brier_of_constant:.4f}), "
-        f"calibration error {report.calibration_error:.3f}."
+        f"calibration error {report.calibration_error:.3f}{interval}."
     )
     if loaded.sensors is not None and max(loaded.sensors.rates, default=1) > 1:
         typer.echo("Here all sensors have a sample in each step, also those that [sensors] gives fewer (every).")
     names = controller.model.names
-    if doubts := doubt(report, None if names is None else names.sensors):
+    if few := too_few(report, needed_steps(hazards, controller.model.step)):  # type: ignore[attr-defined]
+        typer.echo(few)
+    elif doubts := doubt(report, None if names is None else names.sensors):
         typer.echo(doubts + _remedy(learner))
     if out is not None:
         typer.echo(f"Written to {out}: {DIAGRAM}, {NUMBERS}.")
