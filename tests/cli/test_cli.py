@@ -8,9 +8,11 @@ import sys
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.metrics import roc_auc_score
 
@@ -809,7 +811,11 @@ def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
     assert (first["loop"], second["loop"], second["runs"], second["pairs"]) == ("fixed", "gamma", 3, 3)
     assert first["difference"] is None
     assert second["difference"] == pytest.approx(second["error"] - first["error"])
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"comparison.csv", "figure.png"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"comparison.csv", "runs.csv", "figure.png"}
+    runs = pd.read_csv(tmp_path / "out" / "runs.csv")
+    assert not runs.duplicated(["loop", "seed"]).any()
+    errors = runs.groupby("loop")["tracking.v.overall"].mean()
+    assert [errors["fixed"], errors["gamma"]] == pytest.approx([first["error"], second["error"]])
     shown = bayesftc_("run", fixed, ours, "--compare", "--seeds", 2).output
     assert "Tracking error of v (m/s), whole run" in shown
     assert "relative to fixed" in shown
@@ -817,6 +823,27 @@ def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
     assert "* Blamed while healthy: the share of the fault-free samples with an alarm, mean of all" in " ".join(
         shown.split()
     )
+
+
+def test_a_row_of_the_runs_is_what_the_command_with_its_seed_makes(bayesftc_, tmp_path):
+    fixed, ours = two_scenarios(tmp_path)
+    bayesftc_("run", fixed, ours, "--compare", "--seeds", 2, "--duration", 8.0, "--out", tmp_path / "out")
+    row = pd.read_csv(tmp_path / "out" / "runs.csv").query("loop == 'gamma'").iloc[-1]
+    done = bayesftc_("run", ours, "--seed", row["seed"], "--duration", 8.0, "--json")
+    assert json.loads(done.stdout)["tracking"]["v"]["overall"] == pytest.approx(row["tracking.v.overall"])
+
+
+def test_the_worst_run_of_a_loop_is_named_if_it_is_far_worse_than_the_median():
+    """The mean over the runs hides one that has lost its plant."""
+    runs = pd.DataFrame({"loop": ["a"] * 3 + ["b"] * 3, "seed": [7, 8, 9] * 2})
+    runs["tracking.v.overall"] = [1.0, 1.1, 2.9, 1.0, 8.0, 1.2]
+    runs["tracking.w.overall"] = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0]
+    table = pd.DataFrame({"signal": ["v", "w"] * 2, "unit": ["m/s", ""] * 2})
+    (sentence,) = compare_module._far_worse(
+        SimpleNamespace(runs=runs, table=table), {"a": "a.toml", "b": "in/b.toml"}, 5.0
+    )
+    assert "worst run of b, with the seed 8, has an error of v of 8 m/s; the median of its runs is 1.2 m/s" in sentence
+    assert sentence.endswith("bayesftc run in/b.toml --seed 8 --duration 5.")
 
 
 def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):

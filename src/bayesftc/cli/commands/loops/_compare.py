@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import typer
 
 from bayesftc.cli import output
 from bayesftc.cosim.base.timebase import rational_step
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
 from bayesftc.cosim.errors import ScenarioError
 from bayesftc.cosim.judging.metrics import without_nan
@@ -21,8 +22,13 @@ if TYPE_CHECKING:
     from bayesftc.cosim.comparison.compare import Comparison
 
 TABLE = "comparison.csv"
+RUNS = "runs.csv"
+FILES = (TABLE, RUNS, output.FIGURE)
 PHASES = {"": "whole run", "_in_faults": "while a fault is present"}
 SEEDS = 50
+
+FAR_WORSE = 3.0
+"""Error of a loop's worst run, relative to the median of its runs, from which on a sentence names the run: means hide it."""
 
 
 def compare_scenarios(
@@ -35,7 +41,7 @@ def compare_scenarios(
     json: bool,
     quiet: bool,
 ) -> None:
-    """Run scenario files with the same seeds, print the table, and write table and figure.
+    """Run scenario files with the same seeds, print the table, and write tables and figure.
 
     Raises
     ------
@@ -50,8 +56,9 @@ def compare_scenarios(
             f"--compare has only one scenario, {files[0]}. Give at least two: bayesftc run a.toml b.toml --compare."
         )
     if out is not None:
-        output.check_folder(out, (TABLE, output.FIGURE), silent=True)
-    scenarios = {Path(file).stem: load_scenario(file) for file in files}
+        output.check_folder(out, FILES, silent=True)
+    of_loop = {Path(file).stem: file for file in files}
+    scenarios = {name: load_scenario(file) for name, file in of_loop.items()}
     if len(scenarios) < len(files):
         raise ScenarioError("Two of the files have the same name, which labels the table's rows. Rename one of them.")
     durations = {name: scenario.simulation.duration for name, scenario in scenarios.items()}
@@ -69,7 +76,7 @@ def compare_scenarios(
     with noted_elsewhere(), output.runs_progress("Comparing", shown=not quiet and not json) as progress:
         loops = {name: scenario.loop() for name, scenario in scenarios.items()}
         if out is not None and not json and not quiet:  # the scenarios are checked
-            output.note_replaced(out / name for name in (TABLE, output.FIGURE))
+            output.note_replaced(out / name for name in FILES)
         comparison = cosim.compare(
             loops,
             duration=lasts,
@@ -85,15 +92,33 @@ def compare_scenarios(
         )
         with output.staged(out) as stage:
             comparison.table.to_csv(stage / TABLE, index=False)
+            comparison.runs.to_csv(stage / RUNS, index=False)
             (stage / output.FIGURE).write_bytes(picture.getbuffer())
     rows: Any = comparison.table.astype(object).where(comparison.table.notna(), None).to_dict("records")
+    worst = list(_far_worse(comparison, of_loop, duration))
     if json:
-        typer.echo(output.as_json({"loops": without_nan(rows), "notes": notes}))
+        typer.echo(output.as_json({"loops": without_nan(rows), "notes": [*notes, *worst]}))
     elif not quiet:
-        _print(comparison, rows, out)
+        _print(comparison, rows, worst, out)
 
 
-def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | None) -> None:
+def _far_worse(comparison: Comparison, files: Mapping[str, str], duration: float | None) -> Iterator[str]:
+    """Give a sentence for each loop whose worst run has an error far above the median of its runs."""
+    units = dict(zip(comparison.table["signal"], comparison.table["unit"], strict=True))
+    lasts = "" if duration is None else f" --duration {duration:g}"
+    for loop, runs in comparison.runs.groupby("loop", sort=False):
+        for signal, unit in units.items():
+            errors = runs.set_index("seed")[f"tracking.{signal}.overall"]
+            if errors.max() > FAR_WORSE * errors.median():
+                yield (
+                    f"The worst run of {loop}, with the seed {errors.idxmax()}, has an error of {signal} of "
+                    f"{errors.max():.4g}{behind(unit)}; the median of its runs is {errors.median():.4g}{behind(unit)}. To see "
+                    f"it: bayesftc run {files[str(loop)]} --seed {errors.idxmax()}{lasts}."
+                )
+                break
+
+
+def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], worst: Sequence[str], out: Path | None) -> None:
     console, say = output.sayer()
     first = rows[0]["loop"]
     for signal in dict.fromkeys(row["signal"] for row in rows):
@@ -119,8 +144,10 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], out: Path | N
         comparison.runs.loc[comparison.runs["status"] != "ok", "reason"].value_counts().head(3).items()
     ):
         say(f"{count} of them: {reason}")
+    for sentence in worst:
+        say(sentence)
     if out is not None:
-        say(f"{TABLE} and {output.FIGURE} are in {out}.")
+        say(f"{TABLE}, {RUNS} and {output.FIGURE} are in {out}.")
 
 
 def _cells(row: dict[str, Any], ending: str) -> list[str]:
