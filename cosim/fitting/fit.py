@@ -210,7 +210,8 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     values, settings, names = box.at(found.place), problem.settings, np.array(box.names)
     margin = settings.difference
     free = np.minimum(found.place, 1.0 - found.place) >= margin
-    counted = np.where(found.weights >= 0.5, samples.y - found.offsets - found.outputs[:, samples.output_of], np.nan)
+    errors = samples.y - found.offsets - found.outputs[:, samples.output_of]
+    counted = np.where(found.weights >= 0.5, errors, np.nan)
     correlated = is_correlated(counted[:split], settings.white)
     jacobian = found.jacobian.reshape(split, len(columns), -1)[:, :, free]
     residuals = found.residuals.reshape(split, len(columns))
@@ -234,6 +235,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.offsets(samples.sensors, found.offsets, units),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
         *sentences.left_out(samples.sensors, found.weights, found.late, present, samples.time),
+        *sentences.contradicted(samples.sensors, errors, found.weights, found.late, present, samples.time, units),
         *sentences.held_out_worse(rms, rest),
     ]
     if not found.settled:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.fitting.uncertainty import Combination
 from bayesftc.cosim.judging.metrics import periods
@@ -17,6 +19,15 @@ UNKNOWN = 12**-0.5
 
 LEFT_OUT = 0.01
 """Share of a sensor's samples from which on a sentence states that they do not count."""
+
+NEAR = 2.0
+"""Largest error of a sensor that is near the FMU, relative to its noise: an error of the FMU as large as the noise makes 1.4."""
+
+FAR = 4.0
+"""Error of a sensor from which on it is far from the FMU, relative to its noise: twice that of one that is near."""
+
+FEWEST = 5
+"""Least number of samples of a sensor that show whether it is near the FMU."""
 
 LOST = 3.0
 """Error of an output, relative to the motion of its samples, from which on the FMU does not follow them at all."""
@@ -146,18 +157,68 @@ def left_out(
     end a stretch, and missing samples do not.
     """
     alone = [len(columns) == 1 for columns in sensors.values() for _ in columns]
-    for i, column in enumerate(column for columns in sensors.values() for column in columns):
+    columns = [column for columns in sensors.values() for column in columns]
+    for i, out, stretch in _faulty(weights, late, present):
+        yield (
+            f"{columns[i]}: {out.sum() / present[:, i].sum():.0%} of its samples are probably faulty and do not count; the "
+            f"longest stretch is from {time[stretch[0]]:g} to {time[stretch[-1]]:g} s."
+            + " A single sensor does not show whether it or the FMU is wrong: see the figure."
+            * alone[i]
+        )
+
+
+def contradicted(
+    sensors: Mapping[str, Sequence[str]],
+    errors: Floats,
+    weights: Floats,
+    late: Flags,
+    present: Flags,
+    time: Floats,
+    units: Mapping[str, str],
+) -> Iterator[str]:
+    """Give a sentence for each sensor that does not count although it is near the FMU, while one that counts is far from it.
+
+    `errors` are the differences between samples and FMU. Of two sensors that move apart slowly, the learner may believe the
+    faulty one; the parameters and the other outputs then still hold the FMU near the healthy one.
+    """
+    columns = [(output, column) for output, columns in sensors.items() for column in columns]
+    for i, _, stretch in _faulty(weights, late, present):
+        part = slice(stretch[0], stretch[-1] + 1)
+        own, noise = _root_mean_square(errors[stretch, i]), _noise(errors[present[:, i], i])
+        if len(stretch) < FEWEST or own > NEAR * noise:
+            continue
+        for k, (output, other) in enumerate(columns):
+            counted = (weights[part, k] >= 0.5) & present[part, k]
+            if k == i or output != columns[i][0] or counted.sum() < FEWEST:
+                continue
+            apart, usual = _root_mean_square(errors[part, k][counted]), _noise(errors[present[:, k], k])
+            if apart > FAR * max(usual, own / NEAR):
+                unit, name = behind(units.get(output)), columns[i][1]
+                yield (
+                    f"The fit contradicts its weights from {time[stretch[0]]:g} to {time[stretch[-1]]:g} s: {other}, which "
+                    f"counts, differs from the FMU by {apart:.3g}{unit} (noise {usual:.2g}{unit}), and {name}, which does not "
+                    f"count, by {own:.2g}{unit} (noise {noise:.2g}{unit}). Probably {other} has failed, and not {name}. Fit "
+                    f"again without the column {other}, or with its cells in this time empty."
+                )
+
+
+def _faulty(weights: Floats, late: Flags, present: Flags) -> Iterator[tuple[int, Flags, Any]]:
+    """Give each sensor with many faulty samples, which these are, and the steps of those in the longest stretch."""
+    for i in range(weights.shape[1]):
         out = (weights[:, i] < 0.5) & present[:, i] & ~late[:, i]
         if out.sum() > LEFT_OUT * present[:, i].sum():
             spans = periods(out | ~present[:, i])
             begin, end = max(spans, key=lambda span: int(out[slice(*span)].sum()))
-            stretch = begin + np.flatnonzero(out[begin:end])
-            yield (
-                f"{column}: {out.sum() / present[:, i].sum():.0%} of its samples are probably faulty and do not count; the "
-                f"longest stretch is from {time[stretch[0]]:g} to {time[stretch[-1]]:g} s."
-                + " A single sensor does not show whether it or the FMU is wrong: see the figure."
-                * alone[i]
-            )
+            yield i, out, begin + np.flatnonzero(out[begin:end])
+
+
+def _root_mean_square(errors: Floats) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _noise(errors: Floats) -> float:
+    """Return the standard deviation of white noise by the changes, which a slow fault hardly enlarges."""
+    return MAD * float(np.median(np.abs(np.diff(errors)))) / 2**0.5 if len(errors) > 1 else 0.0
 
 
 def not_followed(columns: Sequence[str], measured: Floats, fitted: Floats, present: Flags) -> Iterator[str]:

@@ -843,7 +843,7 @@ def test_the_worst_run_of_a_loop_is_named_if_it_is_far_worse_than_the_median():
         SimpleNamespace(runs=runs, table=table), {"a": "a.toml", "b": "in/b.toml"}, 5.0
     )
     assert "worst run of b, with the seed 8, has an error of v of 8 m/s; the median of its runs is 1.2 m/s" in sentence
-    assert sentence.endswith("bayesftc run in/b.toml --seed 8 --duration 5.")
+    assert sentence.endswith("bayesftc run in/b.toml --seed 8 --duration 5.0.")
 
 
 def test_wrong_comparisons_are_refused(bayesftc_, tmp_path):

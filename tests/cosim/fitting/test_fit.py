@@ -349,3 +349,17 @@ def test_several_inputs_each_with_its_column():
     inputs = {"torque1": "t1", "torque2": "t2"}
     fitted = cosim.fit(fmus.path("TwoLinkArm"), table, {"m2": (0.5, 2.0)}, inputs=inputs, outputs=["q1", "q2"])
     assert abs(fitted.parameters["m2"] - 1.2) < 3 * fitted.std["m2"] < 0.1
+
+
+def test_a_fit_says_where_it_contradicts_its_weights():
+    table = TABLE.copy()
+    table.loc[200:, "v0"] -= 0.05 * np.arange(200)
+
+    def trust_the_drift(y, predicted, dt):
+        return np.where(np.arange(len(y))[:, None] < 200, 1.0, [1.0, 0.0])
+
+    fitted = cosim.fit(CAR, table, RANGES, **NAMES, held_out=0.5, weigh=trust_the_drift)
+    (sentence,) = [each for each in fitted.sentences if "contradicts its weights" in each]
+    assert "Probably v0 has failed, and not v1. Fit again without the column v0" in sentence
+    again = cosim.fit(CAR, table, RANGES, inputs={"force": "u"}, outputs={"v": "v1"})
+    assert not any("contradicts" in each for each in again.sentences)

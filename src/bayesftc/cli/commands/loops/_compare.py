@@ -105,7 +105,7 @@ def compare_scenarios(
 def _far_worse(comparison: Comparison, files: Mapping[str, str], duration: float | None) -> Iterator[str]:
     """Give a sentence for each loop whose worst run has an error far above the median of its runs."""
     units = dict(zip(comparison.table["signal"], comparison.table["unit"], strict=True))
-    lasts = "" if duration is None else f" --duration {duration:g}"
+    lasts = "" if duration is None else f" --duration {duration}"
     for loop, runs in comparison.runs.groupby("loop", sort=False):
         for signal, unit in units.items():
             errors = runs.set_index("seed")[f"tracking.{signal}.overall"]
