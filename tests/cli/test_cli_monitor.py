@@ -808,9 +808,9 @@ def test_sensors_that_are_open_at_the_same_time_have_one_sentence(capsys):
     recording = align({name: Signal(t, np.zeros(100)) for name in "abc"}, {}, dt=1)
     pairs = [Disagreement(pair, 10.0, 20.0, 0.9) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
     pairs += [Disagreement(("a", "b"), 51.0, 60.0, 0.95), Disagreement(("b", "c"), 80.0, 90.0, 0.97)]
-    monitored = SimpleNamespace(recording=recording, alarm=Alarm(hold=5.0), disagreements=pairs)
+    monitored = SimpleNamespace(recording=recording, alarm=Alarm(hold=5.0))
     doubtful = FaultEvent("a", 40.0, 48.0, 1.0, "Offset")
-    print_disagreements(monitored, [doubtful])
+    print_disagreements(monitored, pairs, [doubtful])
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.count("it is open which") == 2
     assert (
@@ -831,3 +831,20 @@ def test_more_motion_is_advised_with_the_fault_that_the_fit_may_have_taken_for_l
     words = _remedy(None, fitted, suspicion, Path("model.toml"))
     assert words.startswith("Change it in model.toml and give --model model.toml without --fit.")
     assert ("If a failed in this recording, which the model now expects" in words) == (with_errors == ["a"])
+
+
+def test_sensors_that_agree_while_the_quantity_moves_have_a_note_instead_of_an_open_fault(tmp_path):
+    t, rng = np.arange(1000.0), np.random.default_rng(0)
+    level = 20.0 + 4.4 * ((t > 0) + 0.16 * (t > 1) - 0.57 * (1.0 - np.exp(-t / 60.0)))
+    noise = 0.1 * rng.standard_normal((1000, 2))
+    pd.DataFrame({"t": t, "a": level + noise[:, 0], "b": level + noise[:, 1]}).to_csv(tmp_path / "y.csv", index=False)
+    model = "dt = 1\njoint = true\n[model]\nkind = 'RandomWalk'\nstd = 0.1\n[sensors]\na.std = 0.1\nb.std = 0.1\n"
+    (tmp_path / "model.toml").write_text(model)
+    command = ["monitor", str(tmp_path / "y.csv"), "--model", str(tmp_path / "model.toml")]
+    numbers = json.loads(RUNNER.invoke(app, [*command, "--json"]).stdout)
+    assert numbers["disagreements"] == []
+    assert any("a and b agree, but by the model both are probably faulty" in note for note in numbers["notes"])
+    printed = " ".join(RUNNER.invoke(app, command).output.split())
+    assert "No fault was found." in printed
+    assert "it is open" not in printed
+    assert "a and b agree, but by the model both are probably faulty" in printed

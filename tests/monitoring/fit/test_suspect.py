@@ -36,14 +36,14 @@ def samples(seed=0, sensors=3, walk=0.03, noise=0.1):
     return level[:, None] + noise * rng.standard_normal((STEPS, sensors))
 
 
-def watched(y, plant=None, std=0.1):
+def watched(y, plant=None, std=0.1, **options):
     """Return a monitor of these samples, and what it finds in them."""
     names = [f"T{i}" for i in range(y.shape[1])]
     signals = {name: Signal(np.arange(float(len(y))), y[:, i], unit="degC") for i, name in enumerate(names)}
     each = np.broadcast_to(std, len(names)).tolist()
     sensors = {name: Sensor(std=std, unit="degC") for name, std in zip(names, each, strict=True)}
     more = {"initial_mean": [20.0, 0.0], "initial_std": [1.0, 1e-3]} if isinstance(plant, ConstantRate) else {}
-    monitor = Monitor(1, plant or RandomWalk(std=0.03), sensors, **more)
+    monitor = Monitor(1, plant or RandomWalk(std=0.03), sensors, **more, **options)
     return monitor, monitor.run(align(signals, {}, 1))
 
 
@@ -268,3 +268,30 @@ def test_errors_are_compared_with_what_is_expected():
     )
     assert scatter(errors, 2.9, None, "It differs", "its std") == ""
     assert scatter(np.array([np.nan]), 1.0, "m", "It differs", "its std") == ""
+
+
+def moving(step, drift=0.0):
+    """Return samples of two sensors of a quantity that moves by a step at the start; the second one may drift."""
+    t, rng = np.arange(1000.0), np.random.default_rng(0)
+    level = 20.0 + step * ((t > 0) + 0.16 * (t > 1) - 0.57 * (1.0 - np.exp(-t / 60.0)))
+    return level[:, None] + 0.1 * rng.standard_normal((1000, 2)) - np.outer(np.maximum(t - 500.0, 0.0), [0.0, drift])
+
+
+def test_two_sensors_that_agree_while_the_quantity_moves_are_not_open():
+    """A sentence said that one of them was faulty, and that a third sensor would tell which one."""
+    monitor, monitored = watched(moving(4.4), RandomWalk(std=0.1), joint=True)
+    assert not monitored.events
+    both = suspect.both_blamed(monitor, monitored)
+    assert len(both) == len(monitored.disagreements) == 1
+    (sentence,) = suspect.moved(monitor, monitored, both)
+    assert "T0 and T1 agree, but by the model both are probably faulty: the quantity has moved more" in sentence
+    (std,) = re.findall(r"This ends with std = (\S+) in", sentence)
+    monitor, monitored = watched(moving(4.4), RandomWalk(std=float(std)), joint=True)
+    assert not monitored.disagreements
+    assert not suspect.both_blamed(monitor, monitored)
+
+
+def test_it_is_open_which_of_two_sensors_drifts():
+    monitor, monitored = watched(moving(0.0, drift=0.004), RandomWalk(std=0.1), joint=True)
+    assert monitored.disagreements
+    assert not suspect.both_blamed(monitor, monitored)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -21,7 +21,7 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import AGREE
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.types import Floats
-from bayesftc.monitoring.alarms import FaultEvent
+from bayesftc.monitoring.alarms import Disagreement, FaultEvent
 from bayesftc.monitoring.models import Matrices
 
 if TYPE_CHECKING:
@@ -59,6 +59,11 @@ MOST_STEPS = 20_000
 
 SHARED = "A fault that all of them have in common, such as that of a supply, would look the same."
 """The other reading, if no sensor of the quantity is left to contradict those that are blamed."""
+
+NO_MOTION = (
+    "No larger motion ends this: another kind of [model] may fit, or [[errors]] that these sensors have in common."
+)
+"""The advice where sensors agree and more motion does not help."""
 
 ELSEWHERE = (Frozen.__name__, DroppedOut.__name__)
 """Kinds of faults that no model of the motion explains."""
@@ -199,7 +204,7 @@ def doubtful_alarms(monitor: Monitor, monitored: Monitored) -> tuple[FaultEvent,
 
     def together(event: FaultEvent) -> bool:
         i = order.index(event.sensor)
-        part = slice(*np.searchsorted(monitored.time, [event.start, event.end + float(monitored.recording.dt) / 2]))
+        part = _steps(monitored, event.start, event.end)
         if not blame.agreeing:
             return i in blame.sensors and bool(blame.when[part].mean() >= MOST_TIME)
         pairs = [pair for pair in blame.apart if i in pair]
@@ -220,6 +225,68 @@ def failed_before(monitor: Monitor, monitored: Monitored) -> Iterator[str]:
                 f"{span_text(float(time[first]), float(time[begin]), origin)}. One of them has failed in this time, and the "
                 "belief has followed it. Two sensors do not show which one: a third sensor would tell."
             )
+
+
+def both_blamed(monitor: Monitor, monitored: Monitored) -> tuple[Disagreement, ...]:
+    """Return the disagreements in which it is not open which sensor is faulty: both probably are, by the model, but they agree.
+
+    If only one of two is faulty, at most one of their probabilities is above a half.
+    """
+    if not monitored.disagreements:
+        return ()
+    found, blame = [], _Blame(monitor, monitored)
+    for each in monitored.disagreements:
+        i, j = (monitored.recording.sensors.index(name) for name in each.sensors)
+        part = _steps(monitored, each.start, each.end)
+        groups = [group for group in blame.model.alike if {i, j} <= set(group)]
+        agreed = {pair: blame.agree(pair, part) for group in groups for pair in combinations(group, 2)}
+        both = float(np.median(monitored.fault_probability[part][:, [i, j]].min(axis=1))) > 0.5
+        if both and agreed.get((i, j)) and False not in agreed.values():
+            found.append(each)
+    return tuple(found)
+
+
+def moved(monitor: Monitor, monitored: Monitored, both: Sequence[Disagreement]) -> Iterator[str]:
+    """Give a sentence for each two sensors of `both_blamed`, with what ends it."""
+    times: dict[tuple[str, str], list[Disagreement]] = {}
+    for each in both:
+        times.setdefault(each.sensors, []).append(each)
+    factor, model = _more_motion(monitor, monitored, both[0].start) if both else None, monitored.model
+    for sensors, (first, *more) in times.items():
+        span = span_text(first.start, first.end, monitored.recording.origin)
+        alone = {*map(monitored.recording.sensors.index, sensors)} in map(set, model.alike)
+        yield (
+            f"From {span}{f' and {len(more)} more times' if more else ''} {' and '.join(sensors)} agree, but by the model both "
+            f"are probably faulty: the quantity has moved more than the model expects.{f' {SHARED}' if alone else ''} "
+            f"{_motion_advice(monitor, factor) if factor else NO_MOTION}"
+        )
+
+
+def _more_motion(monitor: Monitor, monitored: Monitored, start: float) -> float | None:
+    """Return the least factor of the motion with which no sensors that agree are blamed, of a while from a time on first."""
+    part = _first_part(monitor, monitored.recording, int(np.searchsorted(monitored.time, start)))
+
+    def blames(other: Monitor, recording: Recording) -> bool:
+        run = other.run(recording)
+        return bool(both_blamed(other, run) or _Blame(other, run).sensors)
+
+    for factor in FACTORS:
+        other = _with(monitor, "motion", factor)
+        with suppress(ModelError):  # of a number whose square is too large
+            if other and not any(blames(other, recording) for recording in (part, monitored.recording)):
+                return factor
+    return None
+
+
+def _first_part(monitor: Monitor, recording: Recording, step: int) -> Recording:
+    """Return as much of a long recording as is tried first, from shortly before a step if the start may be anywhere."""
+    begin = max(step - LEAST_SAMPLES, 0) if monitor.initial_std is None and len(recording.y) > MOST_STEPS else 0
+    part = slice(begin, begin + MOST_STEPS)
+    return replace(recording, start=float(recording.time[begin]), y=recording.y[part], u=recording.u[part])
+
+
+def _steps(monitored: Monitored, start: float, end: float) -> slice:
+    return slice(*np.searchsorted(monitored.time, [start, end + float(monitored.recording.dt) / 2]))
 
 
 class _Moment(NamedTuple):
@@ -448,13 +515,8 @@ class _Remedy(NamedTuple):
 
 def _remedy(monitor: Monitor, monitored: Monitored, blame: _Blame) -> _Remedy:
     """Return what ends the blame, or nearly ends it. Factors are tried on a part of a long recording first."""
-    recording = monitored.recording
-    begin = 0
-    if monitor.initial_std is None and len(recording.y) > MOST_STEPS:
-        begin = max(int(np.flatnonzero(blame.when)[0]) - LEAST_SAMPLES, 0)
-    part = slice(begin, begin + MOST_STEPS)
-    recording = replace(recording, start=float(recording.time[begin]), y=recording.y[part], u=recording.u[part])
-    most = REMAINING * float(blame.when[part].sum())
+    recording = _first_part(monitor, monitored.recording, int(np.flatnonzero(blame.when)[0]))
+    most = REMAINING * float(blame.when[_steps(monitored, *recording.time[[0, -1]])].sum())
     tried = [("motion", factor) for factor in FACTORS]
     if not blame.agreeing:  # then no motion, which they have in common, is the reason
         tried = [("noise", float(f"{blame.spread:.2g}"))] if blame.spread > SCATTER else []
@@ -517,16 +579,13 @@ def _sentence(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Re
 
 
 def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Remedy) -> str:
-    plant: Any = monitor.plant
-    setting, factor, ends = remedy.setting, remedy.factor, "This nearly ends" if remedy.nearly else "This ends"
-    if setting == "motion" and isinstance(plant, Matrices):
-        return f"{ends} if the process_covariance in [model] is {factor**2:.3g} times as large."
-    if setting == "motion":
-        return f"{ends} with std = {factor * plant.std:.3g} in [model] instead of {plant.std:.3g}, {factor:g} times as large."
-    if setting == "noise":
-        return f"{ends} if the std of every sensor is {factor:g} times as large."
+    ends = "This nearly ends" if remedy.nearly else "This ends"
+    if remedy.setting == "motion":
+        return _motion_advice(monitor, remedy.factor, ends)
+    if remedy.setting == "noise":
+        return f"{ends} if the std of every sensor is {remedy.factor:g} times as large."
     if blame.agreeing:
-        return "No larger motion ends this: another kind of [model] may fit, or [[errors]] that these sensors have in common."
+        return NO_MOTION
     names, units = monitored.recording.sensors, monitored.recording.units
     apart = {pair: float(np.median(blame.difference(*pair))) for pair in blame.apart if len(blame.difference(*pair))}
     if not apart:
@@ -536,6 +595,15 @@ def _advice(monitor: Monitor, monitored: Monitored, blame: _Blame, remedy: _Reme
     return (
         f"{names[i]} and {names[j]} differ by {abs(apart[i, j]):.3g}{unit} in the median: if that is no fault, give the bias of "
         "each sensor, or [[errors]] that last."
+    )
+
+
+def _motion_advice(monitor: Monitor, factor: float, ends: str = "This ends") -> str:
+    plant: Any = monitor.plant
+    if isinstance(plant, Matrices):
+        return f"{ends} if the process_covariance in [model] is {factor**2:.3g} times as large."
+    return (
+        f"{ends} with std = {factor * plant.std:.3g} in [model] instead of {plant.std:.3g}, {factor:g} times as large."
     )
 
 

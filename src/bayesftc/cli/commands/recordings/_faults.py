@@ -98,7 +98,7 @@ class Clock:
         return span_text(start, end, self._origin, self._digits)
 
 
-def print_disagreements(monitored: Monitored, doubtful: Sequence[FaultEvent]) -> None:
+def print_disagreements(monitored: Monitored, open_: Sequence[Disagreement], doubtful: Sequence[FaultEvent]) -> None:
     """Print when one of several sensors is faulty, but it is open which one: a sentence for all pairs with the same times.
 
     Those that begin with a doubtful alarm, or soon after it, are left out: then the model is probably wrong.
@@ -106,7 +106,7 @@ def print_disagreements(monitored: Monitored, doubtful: Sequence[FaultEvent]) ->
     recording, hold = monitored.recording, monitored.alarm.hold
     say, clock = output.sayer()[1], Clock(monitored.recording)
     together: dict[tuple[float, float], list[Disagreement]] = {}
-    for each in monitored.disagreements:
+    for each in open_:
         if not any(event.start <= each.start <= event.end + hold for event in doubtful):
             together.setdefault((each.start, each.end), []).append(each)
     for (start, end), pairs in together.items():

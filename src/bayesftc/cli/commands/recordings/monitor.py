@@ -46,7 +46,7 @@ from bayesftc.monitoring import (
 )
 from bayesftc.monitoring.csv import Tables
 from bayesftc.monitoring.fit.doubtful import lasting_errors
-from bayesftc.monitoring.fit.suspect import failed_before
+from bayesftc.monitoring.fit.suspect import both_blamed, failed_before, moved
 
 if TYPE_CHECKING:
     from bayesftc.controllers import ModelFinding
@@ -181,11 +181,16 @@ def monitor(
     if fitted and suspicion and fitted.model.strangers.keys() & set(suspicion.sensors):
         suspicion = None  # a sensor that does not follow the others agrees with everything within its noise
     doubtful = doubtful_alarms(loaded, monitored) if (mismatch and not faults) or suspicion else ()
-    numbers = summary(monitored, mismatch, doubtful) | (
+    both = both_blamed(loaded, monitored)
+    open_ = [each for each in monitored.disagreements if each not in both]
+    numbers = summary(monitored, open_, mismatch, doubtful) | (
         {} if fitted is None else {"fitted": fitted_summary(fitted.model, model)}
     )
     notes = [] if suspicion is None else [f"{suspicion.sentence} {_remedy(loaded, fitted, suspicion, model)}".rstrip()]
     notes += [] if suspicion or (mismatch and not faults) else failed_before(loaded, monitored)
+    if not suspicion:
+        change = "" if fitted is None else f" {_change(model)}"
+        notes += [f"{sentence}{change}" for sentence in moved(loaded, monitored, both)]
     notes += [mismatch.sentence] if mismatch is not None and faults else []
     more = turns_note(loaded, samples, model) if fitted is None else fitted.notes
     numbers["notes"] = [*notes, *more]
@@ -194,7 +199,7 @@ def monitor(
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
-        _print(monitored, numbers, notes, out, doubtful)
+        _print(monitored, numbers, notes, out, open_, doubtful)
     if not quiet:
         output.say_notes(more)
 
@@ -207,7 +212,7 @@ def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspic
         healthy = "a stretch in which the sensors are healthy, with --from and --to"
         if suspicion.setting != "motion":
             return f"Fit {healthy}."
-        change = f"Change it in {model} and give --model {model} without --fit."
+        change = _change(model)
         if not 0 < len(lasting) < len(suspicion.sensors):  # errors of all, or of two, are no fault of one
             return change
         failed = f"If {' and '.join(lasting)} failed in this recording, which the model now expects as lasting errors"
@@ -215,8 +220,17 @@ def _remedy(monitor: Monitor, fitted: FittedFiles | None, suspicion: ModelSuspic
     return "" if monitor.inputs else "bayesftc monitor --fit finds such numbers in a recording."
 
 
-def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Sequence[FaultEvent] = ()) -> dict[str, Any]:
-    """Return the faults, which of them are due to a wrong model, and how the model is wrong, as plain data."""
+def _change(model: Path) -> str:
+    return f"Change it in {model} and give --model {model} without --fit."
+
+
+def summary(
+    monitored: Monitored,
+    open_: Sequence[Disagreement],
+    mismatch: ModelFinding | None,
+    doubtful: Sequence[FaultEvent] = (),
+) -> dict[str, Any]:
+    """Return the faults, also those of an open sensor, which are due to a wrong model, and how it is wrong, as plain data."""
     recording = monitored.recording
     sensors = {}
     for i, name in enumerate(recording.sensors):
@@ -235,7 +249,7 @@ def summary(monitored: Monitored, mismatch: ModelFinding | None, doubtful: Seque
         **_dates(recording, start=monitored.time[0], end=monitored.time[-1]),
         "sensors": sensors,
         "faults": [_with_dates(event, recording) | {"doubtful": event in doubtful} for event in monitored.events],
-        "disagreements": [_with_dates(each, recording) for each in monitored.disagreements],
+        "disagreements": [_with_dates(each, recording) for each in open_],
         "actuators": {
             name: {
                 "mean_probability": float(monitored.actuator_fault_probability[:, j].mean()),
@@ -321,6 +335,7 @@ def _print(
     numbers: dict[str, Any],
     notes: Sequence[str],
     folder: Path | None,
+    open_: Sequence[Disagreement],
     doubtful: Sequence[FaultEvent],
 ) -> None:
     console, say = output.sayer()
@@ -360,8 +375,8 @@ def _print(
         units = zip((*recording.sensors, *recording.inputs), (*recording.units, *recording.input_units), strict=False)
         hold = time_at(monitored.alarm.hold, float(recording.dt))
         events: list[FaultEvent | ActuatorEvent] = [*monitored.events, *monitored.actuator_events]
-        print_faults(events, dict(units), recording, doubtful, hold, open_=bool(monitored.disagreements))
-        print_disagreements(monitored, doubtful)
+        print_faults(events, dict(units), recording, doubtful, hold, open_=bool(open_))
+        print_disagreements(monitored, open_, doubtful)
     for note in monitored.burst_notes():
         say(note)
     for note in notes:
