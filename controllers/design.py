@@ -124,12 +124,12 @@ def design(
         controller estimates the offsets. Of several sensors of a quantity, at least one must have no offset, unless a sensor of
         another quantity shows their common offset (a compass that of gyros). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
-        Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of half the range between
-        its limits; without limits, of `acceptable_control`; without either, of its size at the operating point, or of 1 if that
-        is smaller. The noise is white: a new value in each sample. A disturbance that lasts,
-        as a gust, is a state of the plant that such noise drives. Noise that is given replaces the default: name a control as
-        well if it has some. Give the noise if you know it. If the plant moves far less at random than the default assumes, the
-        belief follows the noise of the sensors: it is less accurate than its variance says, and equal sensors seem unequal.
+        Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of a size: half the range
+        between its limits; without limits `acceptable_control`; without this, too, its value at the operating point, at least 1.
+        The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is a state of the plant that such
+        noise drives. Noise that is given replaces the default: name a control as well if it has some. Give the noise if you know
+        it. If the plant moves far less at random than the default assumes, the belief follows the noise of the sensors: it is
+        less accurate than its variance says, and equal sensors seem unequal.
         `describe()` prints the noise.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that is due to a load, or to a plant

@@ -74,6 +74,8 @@ def model_lines(controller: BayesianController) -> list[str]:
         f"Expected process noise in each step, as standard deviations: {_process_noise(model)}.",
         f"Goals: {controller.goals}; limits of the control: {_limits(controller)}.",
     ]
+    if not loads:
+        lines.append("No load on the control is estimated (disturbance=True in design).")
     if model.delays is not None:
         late = (
             f"{what} by {', '.join(map(str, steps))}"

@@ -19,7 +19,7 @@ from bayesftc.controllers.models.checks import as_number
 from bayesftc.controllers.models.delays import whole_delays
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
 from bayesftc.controllers.models.pulse_responses import PoorFitWarning
-from bayesftc.cosim.base.html import Lines
+from bayesftc.cosim.base.html import Lines, Printed
 from bayesftc.cosim.base.recordings.rows import rows_at_steps
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.run.tables import named_columns, read_table
@@ -40,7 +40,7 @@ CORRELATED = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Printed):
     """A model identified from a recording, and its quality on the held-out part.
 
     `LinearModel.identify` makes it; `design` accepts it as a plant.
@@ -98,8 +98,11 @@ class Identification:
     residuals: Floats = field(repr=False)
     quantities: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
+    def __str__(self) -> str:
+        return str(self.describe())
+
     def describe(self) -> str:
-        """Return a description of the model and its quality as text."""
+        """Return a description of the model and its quality as text; ``print`` shows it, too."""
         order = self.model.plant_states
         poles = np.linalg.eigvals(self.model.matrix("A")[:order, :order])
         lines = [f"Order {order}, poles {', '.join(f'{p:.4g}' for p in poles)}."]

@@ -19,6 +19,6 @@ diagram.connect(servo["speed"], sensors["u"])
 recording = diagram.simulate(60.0, seed=3)  # or the path of a CSV file, or a table of pandas
 
 found = controllers.LinearModel.identify(recording, inputs="voltage.y", outputs={"speed": "sensors.y"})
-print(found.describe())
+print(found)
 found.plot()
 plt.show()

@@ -124,6 +124,8 @@ def test_settings_faults_names_and_limits_are_named():
     )  # at 0.1 s, five times the default
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
+    assert "No load on the control is estimated" not in text
+    assert "No load on the control is estimated (disturbance=True in design)." in lqg(named).describe()
     assert "0.01 (x[0]), 0.01414 (x[1]) of each state; 0.01 of the disturbance.\n" in text
     assert (
         "at constant goals and disturbances, with a sample of every sensor in each step (standard deviations)" in text
