@@ -561,7 +561,7 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
 
     The control follows all sensors. To the filter of some of them it therefore tells something about the plant that this filter
     does not know. Beside a constant goal nothing else moves the control, and a slower plant, for example, explains it better than
-    the right model. The filter of all sensors knows what the control knows.
+    the right model. The filter of all sensors knows what the control knows, as far as the controller weights them alike.
     """
     every = tuple(sorted({i for chosen in judge.bank.sensors for i in chosen}))
     bank = observers(judge.model, (every,)) if counting and len(judge.bank) > 1 else None
@@ -570,7 +570,9 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
     whole = Judge(judge.model, bank, judge.recording)
     if float(whole.first_squares.max()) > FITS:
         return counting
-    supported = {x.kind for x in _counting(whole, explanations(whole))}
+    found = explanations(whole)
+    supported = {x.kind for x in (_with_fitted_noise(whole, found) if any(x.counts for x in found) else [])}
+    supported |= {x.kind for x in _counting(whole, found)}
     return [x for x in counting if x.kind in supported]
 
 

@@ -39,8 +39,8 @@ FORGOTTEN = 0.02
 UNSEEN = 1e-13
 """Smallest singular value in Hautus' test of a mode that sensors do not see."""
 
-HARDLY_SEEN = 1e6
-"""A fading memory that makes a variance so many times larger would have forgotten a mode that the sensors hardly see."""
+ROUNDED = 1e-6
+"""Largest rounding of what the belief adds to an innovation's variance, relative to the sensor's noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +165,9 @@ def _filter(A: Floats, C: Floats, Q: Floats, R: Floats) -> tuple[Floats, Floats,
             root, gain = np.linalg.cholesky(S), np.linalg.solve(S, C @ P).T
         except (ModelError, np.linalg.LinAlgError):  # the second where P is so large that R is lost in the rounding
             continue
-        if best is not None and (np.diag(P) > HARDLY_SEEN * np.diag(best[3])).any():
-            break
+        added = np.diag(np.abs(C) @ np.abs(P) @ np.abs(C).T)
+        if best is not None and (np.finfo(np.float64).eps * added > ROUNDED * np.diag(R)).any():
+            break  # the memory has forgotten a mode that the sensors hardly see
         after = faded @ (P - gain @ C @ P) @ faded.T
         noise = Q + (1.0 - slowest**2) * (after + after.T) / 2.0  # an ordinary filter with this noise has the same gain
         pole = float(np.abs(np.linalg.eigvals(A - A @ gain @ C)).max())

@@ -29,8 +29,9 @@ ABOVE, MOST = 10.0, 1e-5
 """Growth counts if it is so many times larger than the rounding of the function's value, and than this share of its change with
 the largest step: it may be the sum of much larger values, whose rounding looks like growth, or like a kink."""
 
-ALIKE, STRAIGHT = 1e-10, 1e-6
-"""The search ends if two slopes differ by less than the first share of the slope, and bend by less than the second."""
+NEAR, ALIKE, STRAIGHT = 1e-4, 1e-10, 1e-6
+"""The search ends from the first relative step on, if two slopes differ by less than the second share of the slope, and bend by
+less than the third."""
 
 
 def slopes(f: Callable[[Floats], Floats], at: Floats) -> tuple[Floats, bool]:
@@ -39,7 +40,8 @@ def slopes(f: Callable[[Floats], Floats], at: Floats) -> tuple[Floats, bool]:
     Large steps suffer from nonlinearity, small ones from rounding. The best size depends on units and function, so several are
     tried for each element. The step counts that differs least from the next larger one, rounding included. Steps that are larger
     than the range in which the function is smooth do not count: there slope or bend grow as the step shrinks. A step at which the
-    function cannot be evaluated does not count either; without any other the derivative is NaN.
+    function cannot be evaluated does not count either; without any other the derivative is NaN. A feature that is narrow beside
+    the larger steps, and small beside a straight line that these see, may be missed.
     """
     here = np.asarray(f(at), dtype=np.float64)
     whole, kink = np.full((len(here), len(at)), np.nan), False
@@ -90,11 +92,14 @@ def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> t
             chosen[better], least[better] = slope[better], error[better]
             # For a smooth function a tenth of the step gives a tenth of the bend.
             sharp = (bend > 0.5 * before[1]) & (bend > BENDS * np.abs(slope))
-            sharp &= bend > np.maximum(1e3 * rounding, noise / step)
             # The bend of a drag v|v| beside its zero is constant, and next to nothing.
             sharp &= bend > SMOOTH * steepest
-            kinks[better] = sharp[better]
-            if ((error <= ALIKE * np.abs(slope) + rounding) & (bend <= STRAIGHT * np.abs(slope) + rounding)).all():
+            seen = bend > np.maximum(1e3 * rounding, noise / step)
+            kinks[seen] = sharp[seen]
+            if (
+                size <= NEAR * max(abs(float(at[j])), 1.0)
+                and ((error <= ALIKE * np.abs(slope) + rounding) & (bend <= STRAIGHT * np.abs(slope) + rounding)).all()
+            ):
                 break
         before, steepest = (slope, bend), np.maximum(steepest, np.abs(slope))
     return chosen, kinks | (np.isinf(least) & np.isfinite(chosen))

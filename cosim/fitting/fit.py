@@ -228,7 +228,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     present = np.isfinite(samples.y)
     units = {variable.name: variable.unit or "" for variable in fmu.description.variables}
     found_sentences = [
-        *sentences.not_followed(columns, samples.y, found.outputs[:, samples.output_of], present),
+        *sentences.not_followed(columns, samples.y - found.offsets, found.outputs[:, samples.output_of], present),
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
         *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
         *sentences.correlated(columns, correlated, white, std),

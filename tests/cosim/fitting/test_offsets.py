@@ -40,6 +40,20 @@ def test_a_sensor_that_drifts_all_the_time_has_no_constant_offset():
     assert not constant_offsets(noise(0.0, 0.0) + np.outer(np.linspace(0.0, 10.0, ROWS), [0.0, 1.0]), PAIR).any()
 
 
+@pytest.mark.parametrize("share", [0.2, 0.3, 0.4])
+@pytest.mark.parametrize("late", [False, True])
+def test_a_fault_for_most_of_the_recording_is_no_offset(share, late):
+    y, healthy = noise(0.0, 8.0), int(share * ROWS)
+    y[slice(ROWS - healthy, None) if late else slice(healthy), 1] -= 8.0
+    assert not constant_offsets(y, PAIR).any()
+
+
+def test_where_no_majority_agrees_each_sensor_may_be_right():
+    assert std_of_common(np.array([0.0, -1.0]), PAIR) == pytest.approx(0.5**0.5)  # the first is precise
+    four = np.zeros(4, dtype=np.int64)
+    assert std_of_common(np.array([-1.0, -1.0, 0.0, 0.0]), four) == pytest.approx(0.5**0.5)
+
+
 def test_the_common_reading_is_that_of_the_precise_sensor_or_of_most_sensors():
     few, many = constant_offsets(noise(0.0, 1.0, std=[0.01, 1.0]), PAIR)
     assert abs(few) < 0.001 < 0.8 < many
@@ -107,6 +121,7 @@ def test_where_the_motion_does_not_show_which_sensor_errs_the_standard_error_has
     for name in ("v0", "v1"):
         table[name] = speed + 0.1 * rng.standard_normal(1000) + off * (name == wrong)
     fitted = cosim.fit(CAR, table, {"b": (1.0, 20.0), "v0": (30.0, 50.0)}, **NAMES)
+    assert not any("does not follow" in sentence for sentence in fitted.sentences)
     assert fitted.std["v0"] == pytest.approx(off / 2, rel=0.1)
     assert fitted.std["b"] == pytest.approx(6.0 / speed * off / 2, rel=0.1)
     assert abs(fitted.parameters["v0"] - speed) < 1.5 * fitted.std["v0"]

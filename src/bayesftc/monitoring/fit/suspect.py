@@ -607,4 +607,4 @@ def _motion_advice(monitor: Monitor, factor: float, ends: str = "This ends") -> 
     )
 
 
-__all__ = ["ModelSuspicion", "doubtful_alarms", "suspect_model"]
+__all__ = ["ModelSuspicion", "both_blamed", "doubtful_alarms", "failed_before", "moved", "suspect_model"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -113,7 +114,7 @@ def _far_worse(comparison: Comparison, files: Mapping[str, str], duration: float
                 yield (
                     f"The worst run of {loop}, with the seed {errors.idxmax()}, has an error of {signal} of "
                     f"{errors.max():.4g}{behind(unit)}; the median of its runs is {errors.median():.4g}{behind(unit)}. To see "
-                    f"it: bayesftc run {files[str(loop)]} --seed {errors.idxmax()}{lasts}."
+                    f"it: bayesftc run {quote(files[str(loop)])} --seed {errors.idxmax()}{lasts}."
                 )
                 break
 
