@@ -103,8 +103,8 @@ class CalibrationReport:
     samples : int
         Number of samples in the test: those of all sensors in the last fifth of the run.
     faults : int
-        Number of faults of all sensors that begin in the test. With less than 20 for each sensor on average the numbers are no basis
-        for a verdict.
+        Number of faults of all sensors that begin in the test. With less than 20 for each sensor on average the numbers are no
+        basis for a verdict.
     reliability : Reliability or None
         The probability's reliability in ten bins of equal width; ``report.reliability.plot()`` draws its diagram.
     calibration_error_interval : tuple of float
