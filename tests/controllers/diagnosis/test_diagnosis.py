@@ -820,7 +820,9 @@ def test_delayed_controls_come_later():
     np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2, [9.0]), [[9.0], [9.0], [1.0]])
 
 
-@pytest.mark.parametrize(("late", "seed"), [(2, 0), (3, 1), (5, 0), (5, 2)])
+@pytest.mark.parametrize(
+    ("late", "seed"), [(5, 0), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((2, 0), (3, 1), (5, 2)))]
+)
 def test_before_the_recording_the_control_held_the_plant(late, seed):
     """Zero volts before would be a push by the whole operating control, which spoke for shorter delays or other causes."""
     system = control.ss([[0, 1], [20, 0]], [[0], [1]], np.eye(2), 0)
