@@ -215,13 +215,6 @@ def pole_lines(poles: Any, dt: float, at_zero: int) -> list[str]:
     return [f"Poles of the closed loop, the filter's included: {listed(poles, dt, at_zero)}."]
 
 
-def without(poles: Any, others: Sequence[complex]) -> Any:
-    """Return poles without the nearest one to each of others."""
-    for each in others:
-        poles = np.delete(poles, np.argmin(np.abs(poles - each)))
-    return poles
-
-
 def listed(poles: Any, dt: float, at_zero: int = 0) -> str:
     """Return poles as text, the slowest first; `at_zero` is the number of further ones at 0, those of delays."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))

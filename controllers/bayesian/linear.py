@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.block import BayesianBlock
 from bayesftc.controllers.bayesian.free_energy import write_nothing, write_posterior
-from bayesftc.controllers.bayesian.stabilisability import unreached
+from bayesftc.controllers.bayesian.stabilisability import unreached, without_modes
 from bayesftc.controllers.bayesian.steady import Gains, steady_gains
 from bayesftc.controllers.estimation import filter as _filter
 from bayesftc.controllers.estimation.absurd import alarm_of
@@ -418,13 +418,8 @@ class BayesianController(InfersActuatorFaults, BayesianBlock):
         """Return the loop's poles without those of constants that no control moves, such as a sensor's bias."""
         plant = self.model.states - self.model.disturbances
         A, B = self.model.matrix("A")[:plant, :plant], self.model.matrix("B")[:plant]
-        poles = self.closed_loop_poles()
-        for eigenvalue in unreached(A, B):
-            apart = np.abs(poles - eigenvalue)
-            # Of a repeated eigenvalue the control may move one copy, which is then no pole of the loop.
-            if abs(abs(eigenvalue) - 1.0) <= 1e-9 and apart.min() < 1e-6:
-                poles = np.delete(poles, np.argmin(apart))
-        return poles
+        constant = [mode for mode in unreached(A, B) if abs(abs(mode) - 1.0) <= 1e-9]
+        return without_modes(self.closed_loop_poles(), constant)[0]
 
 
 def _mixed(matrix: Floats, delays: tuple[int, ...]) -> bool:

@@ -10,11 +10,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesftc.controllers.bayesian.describing import listed, without
+from bayesftc.controllers.bayesian.describing import listed
 from bayesftc.controllers.bayesian.linear import BayesianController
 from bayesftc.controllers.bayesian.preview import MOST, goal_effects, target_steady_state
 from bayesftc.controllers.bayesian.riccati import Regulator, regulate
-from bayesftc.controllers.bayesian.stabilisability import refuse_undetectable, refuse_unstabilisable, unreached
+from bayesftc.controllers.bayesian.stabilisability import (
+    refuse_undetectable,
+    refuse_unstabilisable,
+    unreached,
+    without_modes,
+)
 from bayesftc.controllers.bayesian.steady import Gains
 from bayesftc.controllers.models.checks import Matrix, as_number, frozen
 from bayesftc.controllers.signals import with_names
@@ -200,8 +205,8 @@ class LQGController(BayesianController):
         plant = of.model.states - of.model.disturbances
         A, B = of.model.matrix("A")[:plant, :plant], of.model.matrix("B")[:plant]
         dt = float(of.model.step)
-        still = unreached(A, B, edge=1.0)
-        lines = [f"Closed-loop poles of the control: {listed(without(of.regulator.poles(A, B), still), dt, past)}."]
+        poles, still = without_modes(of.regulator.poles(A, B), unreached(A, B, edge=1.0))
+        lines = [f"Closed-loop poles of the control: {listed(poles, dt, past)}."]
         lines += [f"Modes that no control moves: {listed(still, dt)}."] * bool(still)
         lines.append(f"All poles, the filter's included: {listed(of._relevant_poles(), dt, 2 * past)}.")
         lines.append(f"Without control: {listed(np.linalg.eigvals(A), dt, past)}.")

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
 
+Poles = NDArray[np.complex128]
+
 _EDGE = 1e-9
 """A mode within this distance of the unit circle, or outside it, counts as not decaying."""
+
+_NEAR = 1e-6
+"""Distance of a pole from a mode that no control moves, up to which it is that of the mode."""
 
 _REACH = 1e-9
 """A mode whose reach is smaller than this, relative to the model's size, counts as unreached."""
@@ -23,6 +29,20 @@ def unreached(A: Floats, B: Floats, *, edge: float = _EDGE) -> list[complex]:
     same, units = balanced(A)
     forms = [(same, B / units[:, None]), (A, B)]
     return [complex(e) for e in np.linalg.eigvals(same) if abs(e) >= 1.0 - edge and all(_misses(e, *f) for f in forms)]
+
+
+def without_modes(poles: Poles, modes: list[complex]) -> tuple[Poles, list[complex]]:
+    """Return a loop's poles without those of modes that no control moves, and these modes.
+
+    Of a repeated eigenvalue the control may move one copy, which is then no pole of the loop.
+    """
+    still = []
+    for mode in modes:
+        apart = np.abs(poles - mode)
+        if apart.min(initial=np.inf) < _NEAR:
+            poles = np.delete(poles, np.argmin(apart))
+            still.append(mode)
+    return poles, still
 
 
 def _misses(eigenvalue: complex, A: Floats, B: Floats) -> bool:

@@ -577,8 +577,7 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
     if float(whole.first_squares.max()) > FITS:
         return counting
     found = explanations(whole)
-    supported = {x.kind for x in (_with_fitted_noise(whole, found) if any(x.counts for x in found) else [])}
-    supported |= {x.kind for x in _counting(whole, found)}
+    supported = {x.kind for x in (*_with_fitted_noise(whole, found), *(x for x in found if x.counts))}
     return [x for x in counting if x.kind in supported]
 
 

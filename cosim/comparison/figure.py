@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = (BLUE, *SENSOR_COLOURS)
-LOST, ROOM = 10.0, 0.3
+LOST, ROOM = 20.0, 0.3
 """A loop is lost if it goes so many times as far as the nearest one; space beside the others, as a share of their range."""
 
 BAND = (5.0, 95.0)

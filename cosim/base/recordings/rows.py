@@ -94,15 +94,17 @@ def rows_at_steps(
         If a cell among dates is none, or the recording does not fit the step.
     """
     time = time or find_times(table, others)
-    unread = {column: wrong for column in table.columns if column not in others and (wrong := _unread(table, column))}
-    if dt is not None and time is None:
-        for column, wrong in unread.items():
-            warn_user(
-                f"The dates in {column!r} do not count: each row is one step of dt, and gaps are lost. The dates, such as "
-                f"{wrong}."
-            )
-        return Rows(rational_step(dt), 0.0, np.arange(len(table)), None)
-    time = time or next(iter(unread), None)
+    if time is None:
+        columns = (column for column in table.columns if column not in others)
+        unread = {column: wrong for column in columns if (wrong := _unread(table, column))}
+        if dt is not None:
+            for column, wrong in unread.items():
+                warn_user(
+                    f"The dates in {column!r} do not count: each row is one step of dt, and gaps are lost. The dates, such as "
+                    f"{wrong}."
+                )
+            return Rows(rational_step(dt), 0.0, np.arange(len(table)), None)
+        time = next(iter(unread), None)
     t = _times(table, time, "give dt= in seconds" if dt is None else "leave it out")
     step, at = _evenly(t, time) if dt is None else _nearest(t, rational_step(dt))
     return Rows(step, float(t[0]), at, time)

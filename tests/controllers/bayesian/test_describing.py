@@ -79,6 +79,14 @@ def test_modes_that_no_control_moves_are_no_poles_of_the_control():
     assert lines[1].startswith("Modes that no control moves: 0.99999, 0.999; the slowest of magnitude 0.99999")
 
 
+def test_of_two_equal_modes_the_control_may_move_one():
+    twins = control.ss(np.diag([0.9, 0.9]), [[1.0], [0.0]], np.eye(2), 0, 0.1, inputs=["force"], outputs=["a", "b"])
+    lines = controllers.design(twins, measured=["a", "b"], actuated="force", goal="a").describe().splitlines()
+    moved = re.match(r"Closed-loop poles of the control: (\S+); the slowest", lines[0])
+    assert 0.0 < float(moved[1]) < 0.85
+    assert lines[1].startswith("Modes that no control moves: 0.9; the slowest of magnitude 0.900")
+
+
 def test_rows_of_gains_have_the_names_of_states_and_controls():
     text = precise_axis(sensors=4).describe()
     gain = next(line for line in text.splitlines() if line.startswith("Gain of the filter"))
