@@ -124,6 +124,7 @@ def lasting(rng, steps, share=0.1):
     return logit, faulty
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("cycles", [3, 10, 40])
 def test_the_interval_contains_the_error_of_a_long_run(cycles):
     """However few faults a test has: many short tests have no missed fault, and twenty parts of them hardly scatter."""

@@ -140,6 +140,7 @@ def on_a_road(road, seed):
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("std", "seed"), [(0.05, 1), (0.05, 2), (0.02, 1), (0.1, 1)])
 def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
     """Noise of single states, which the model does not have so, came next to it, or other dynamics."""
@@ -151,6 +152,7 @@ def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
     assert "times the stated standard deviation, if those of the sensors are right. State so much" in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bumps_are_named_beside_other_dynamics(seed):
@@ -447,6 +449,7 @@ def chamber(disturbance, reference, **faults):
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("disturbance", [400.0, 4000.0])
 @pytest.mark.parametrize("reference", [5.0, cosim.Sine(3.0, 1200.0, offset=4.0)], ids=["constant", "changing"])
@@ -460,6 +463,7 @@ def test_a_load_that_the_controller_estimates_is_no_weak_actuator(disturbance, r
 
 
 @pytest.mark.sampled(1)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_weak_actuator_is_no_load(seed):
     loop = chamber(
@@ -470,6 +474,7 @@ def test_a_weak_actuator_is_no_load(seed):
     assert finding.values[2] == pytest.approx(0.5, abs=0.15)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("recorded", [False, True])
 @pytest.mark.parametrize("end", [300, 400])
 def test_an_actuator_that_is_stuck_is_named_with_its_control(end, recorded):
@@ -507,6 +512,7 @@ def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_chang
     assert "a change of the control by -1.5" in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_load_beside_a_control_far_from_zero_is_no_loss_of_effect(seed):

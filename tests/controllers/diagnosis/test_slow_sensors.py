@@ -83,8 +83,9 @@ PATTERNS = {
 }
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("pattern", PATTERNS)
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
 def test_a_right_model_is_not_blamed(pattern, seed):
     """With the steady filter of samples in each step, noise was named in each run with outages or another rate."""
     there = PATTERNS[pattern](np.random.default_rng(seed + 1000))

@@ -10,7 +10,7 @@ from bayesftc import controllers, cosim
 from bayesftc.controllers.diagnosis.scatter import stated_too_large
 
 
-@pytest.mark.parametrize("wrong", [True, False])
+@pytest.mark.parametrize("wrong", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_noise_in_another_unit_is_named_before_more_noise_of_the_plant(wrong):
     """Stated 57 times too large, it makes the plant look as if it moved at random."""
     plant = control.ss(
