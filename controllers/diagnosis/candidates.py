@@ -188,13 +188,17 @@ def noisier(judge: Judge, found: list[Explanation]) -> list[Explanation]:
     return [max(noises, key=lambda x: x.total)] if noises else []
 
 
-def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]:
+def moved_at_random(
+    judge: Judge, found: list[Explanation], judged: tuple[list[Explanation], list[Explanation]]
+) -> list[Explanation]:
     """Return counting explanations without noise, or only it, where all sensors together have clearly more evidence for that.
 
     A control that answers a gust knows of it from all sensors. To the observers of a few of them it therefore tells what they do
     not see, so that its effect looks lost or reversed; to an observer of all sensors it tells nothing new. Where the noise of the
     model is too large, the other kinds are judged with the smaller one, too: else a load that begins would look like one that
     wanders beside less noise. Where all sensors leave it open, the explanations are theirs, with the evidence of all.
+
+    `judged` are the best explanations of each kind and by noise, of which `found` are those that count.
     """
     everyone = (tuple(sorted({i for chosen in judge.bank.sensors for i in chosen})),)
     noise, kinds = [x for x in found if x.kind == "noise"], {x.kind for x in found} - {"noise"}
@@ -202,10 +206,11 @@ def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]
     if bank is None:
         return found
     kinds |= EFFECT if kinds & EFFECT else set()
-    together = Judge(judge.model, bank, judge.recording)
-    judged = explanations(together)
-    random = noisier(together, judged)
-    others = [x for x in judged if x.kind in kinds]
+    together, (of_all, random) = judge, judged
+    if judge.bank.sensors != everyone:
+        together = Judge(judge.model, bank, judge.recording)
+        random = noisier(together, of_all := explanations(together))
+    others = [x for x in of_all if x.kind in kinds]
     shares = {x.values[3] for x in [*noise, *random] if len(x.values) > 3} - {1.0}
     for share in shares if _best_evidence(random) > _best_evidence(others) else ():
         calmer = _calmer(judge.model, share)
@@ -215,7 +220,7 @@ def moved_at_random(judge: Judge, found: list[Explanation]) -> list[Explanation]
             others += [replace(x, support=(x.total + less,)) for x in explanations(calm) if x.kind in kinds]
     ahead = _best_evidence(random) - _best_evidence(others)
     if ahead > NEARLY and _best_evidence(random) > EVIDENCE:
-        return [replace(x, values=of_all.values) for x, of_all in zip(noise, random, strict=True)]
+        return [replace(x, values=by_all.values) for x, by_all in zip(noise, random, strict=True)]
     if ahead < -NEARLY or _best_evidence(random) < EVIDENCE:
         return [x for x in found if x.kind != "noise" or x.values[3:] in ((), (1.0,))]
     return ranked(x for x in best_of_each([*others, *random]) if x.counts)
@@ -410,11 +415,8 @@ def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]
 
 def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
     """Return controls that act earlier than the delays of the model say: a coarse search, or a fine one."""
-    delays, u, dt = judge.model.delays, judge.recording.u, float(judge.model.step)
-    if delays is None:
-        return []
-    possible = [late + min(delays.sensors) for late in delays.inputs]
-    most = min(max(possible), 2 * len(u) // 3)
+    possible, u, dt = judge.recording.late, judge.recording.u, float(judge.model.step)
+    most = min(max(possible, default=0), 2 * len(u) // 3)
     if not most:
         return []
     if coarse is None:

@@ -150,7 +150,7 @@ def _finer(judge: Judge, kind: str, best: _Found, width: int) -> _Found:
     while width > 1:
         grids = [np.linspace(k - width + 1, k + width - 1, FINE).round().astype(int) for k in best.instants]
         near = {int(k) for k in np.concatenate(grids) if 1 <= k <= last}
-        pushes = _Pushes(judge, sorted(near | set(best.instants)))
+        pushes = _Pushes(judge, sorted(near | set(best.instants)), best.columns)
         if len(best.instants) > 2:
             best = pushes.moved(best, grids)
         else:
@@ -180,12 +180,16 @@ class _Found:
 
 
 class _Pushes:
-    """The normal equations of pushes from each of some instants to the end: along B, along each state, and of each control."""
+    """The normal equations of pushes from each of some instants to the end: along B, along each state, and of each control.
 
-    def __init__(self, judge: Judge, instants: Sequence[int]):
+    Of `columns`, if they are given, and of those along B.
+    """
+
+    def __init__(self, judge: Judge, instants: Sequence[int], columns: Sequence[int] | None = None):
         p, plant = judge.model.controls, judge.model.plant_states
-        self.judge, self.instants, self.each = judge, list(instants), 2 * p + plant
-        along, states, controls = np.split(np.arange(self.each), [p, p + plant])
+        self.judge, self.instants = judge, list(instants)
+        along, states, controls = np.split(np.arange(2 * p + plant), [p, p + plant])
+        self.kept = np.unique([*along, *(range(2 * p + plant) if columns is None else columns)])
         self.along, self.states = tuple(map(int, along)), tuple(map(int, states))
         self.columns: dict[str, list[tuple[int, ...]]] = {
             "onset": [self.along, self.states],
@@ -205,14 +209,17 @@ class _Pushes:
             each = judge.pushes((late[:, np.newaxis, :, np.newaxis] * pushes).reshape(-1, *pushes.shape[1:]))
             return each.reshape(len(each), len(self.instants), -1, *each.shape[2:])
 
-        responses = np.zeros((len(judge.bank), len(self.instants), self.each, *judge.recording.y.shape))
+        responses = np.zeros((len(judge.bank), len(self.instants), len(self.kept), *judge.recording.y.shape))
         first = len(self.along) + len(self.states)
-        responses[:, :, first:] = late_ones(u.T[:, :, np.newaxis] * B[:, np.newaxis])
+        constant, controls = self.kept[self.kept < first], self.kept[self.kept >= first] - first
+        if len(controls):
+            pushes = u.T[:, :, np.newaxis] * B[:, np.newaxis]
+            responses[:, :, len(constant) :] = late_ones(pushes[controls])
         if judge.whole:  # a constant push that begins later has the same response, later
             for i, k in enumerate(self.instants):
-                responses[:, i, :first, k:] = judge.lasting[:, :, : steps - k]
+                responses[:, i, : len(constant), k:] = judge.lasting[:, constant, : steps - k]
         else:
-            responses[:, :, :first] = late_ones(judge.constant)
+            responses[:, :, : len(constant)] = late_ones(judge.constant[constant])
         return responses.reshape(len(responses), -1, *responses.shape[3:])
 
     def _equations(self, responses: Floats, k: int) -> tuple[Floats, Floats, float, int]:
@@ -311,7 +318,7 @@ class _Pushes:
 
     def _normal(self, ends: NDArray[np.intp], signs: Floats, group: NDArray[np.intp]) -> tuple[Floats, Floats]:
         """Return, by set, the products of a group's pushes with each other and with the innovations, for each row of instants."""
-        places = self.each * ends[:, :, np.newaxis] + group
+        places = len(self.kept) * ends[:, :, np.newaxis] + np.searchsorted(self.kept, group)
         rows, columns = places[:, :, :, np.newaxis, np.newaxis], places[:, np.newaxis, np.newaxis]
         size = signs.shape[1] * len(group)
         products = [

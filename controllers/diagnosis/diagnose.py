@@ -37,6 +37,7 @@ from bayesftc.controllers.diagnosis.slow_sensors import presence_of
 from bayesftc.controllers.diagnosis.starts import wrong_start
 from bayesftc.controllers.diagnosis.words import faulty_sensors, inferred_fault, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
+from bayesftc.controllers.models.delays import aligned
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.models.nonlinear import NonlinearModel
 from bayesftc.cosim.base.announcing import reported
@@ -493,7 +494,7 @@ def _finding(
     text = sentence(
         best.kind,
         best.values,
-        model,
+        model.undelayed,
         [(x.kind, x.values) for x in result[1:]],
         inferred,
         *units,
@@ -510,20 +511,26 @@ def best_explanations(
     model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0, *, alone: bool = False
 ) -> list[Explanation]:
     """Return the best explanation of a recording, then those nearly as good; see `_finding` for the arguments."""
+    samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
+    samples = np.where(np.abs(samples) < LARGEST, samples, np.nan)
+    controls = np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[: len(samples)]).clip(-LARGEST, LARGEST)
+    mean = np.array(np.broadcast_to(np.asarray(initial_mean, float), model.states))
+    delays, (samples, controls) = model.delays, aligned(model, samples, controls)
+    if delays is not None:
+        model, mean = model.undelayed, mean[delays.others(model.states)]
     bank = observers(model)
     if bank is None:
         return []
-    samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
-    samples = np.where(np.abs(samples) < LARGEST, samples, np.nan)
     last = int(np.flatnonzero(np.isfinite(samples).any(axis=1)).max(initial=-1)) + 1
     if last < LEAST_SAMPLES:
         return []
     bank, samples = _without(model, bank, samples)
     recording = Recording(
         samples[:last],
-        np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[:last]).clip(-LARGEST, LARGEST),
-        np.array(np.broadcast_to(np.asarray(initial_mean, float), model.states)),
+        controls[:last],
+        mean,
         presence=presence_of(samples[:last], sorted({i for chosen in bank.sensors for i in chosen})),
+        late=() if delays is None else tuple(late + min(delays.sensors) for late in delays.inputs),
     )
     moved = recording.u @ model.matrix("B").T
     base = innovations([model], [bank], recording, moved[None, None])[0][0][:, 0]
@@ -600,8 +607,8 @@ def _with_fitted_noise(judge: Judge, found: list[Explanation]) -> list[Explanati
 
 def _counting(judge: Judge, found: list[Explanation]) -> list[Explanation]:
     """Return the explanations that count, noise among them, from the best one on."""
-    counting = [x for x in found if x.counts]
-    return moved_at_random(judge, ranked(counting + [x for x in noisier(judge, found) if x.counts]))
+    noises = noisier(judge, found)
+    return moved_at_random(judge, ranked(x for x in (*found, *noises) if x.counts), (found, noises))
 
 
 def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Observers, Floats]:

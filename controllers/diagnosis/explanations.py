@@ -39,6 +39,8 @@ class Recording:
         Samples before which the state is unknown: the first one, and those after a stretch that is left out.
     presence : Presence or None
         Which samples are there if some sensors are slow; at least as long as the recording.
+    late : tuple of int
+        Samples by which each control acted after it was sent, to which delays of all sensors add; empty without a delay.
     """
 
     y: Floats
@@ -46,6 +48,7 @@ class Recording:
     mean: Floats
     begins: tuple[int, ...] = (0,)
     presence: Presence | None = None
+    late: tuple[int, ...] = ()
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""
@@ -53,7 +56,7 @@ class Recording:
 
 
 def innovations(
-    models: Sequence[LinearModel], banks: Sequence[Observers], recording: Recording, moved: Floats
+    models: Sequence[LinearModel], banks: Sequence[Observers], recording: Recording, moved: Floats, first: int = 0
 ) -> tuple[list[Floats], Floats]:
     """Return the whitened innovations of the observers of several models, and the states predicted by the first model.
 
@@ -67,6 +70,8 @@ def innovations(
         The run.
     moved : ndarray, models x H x T x n
         Inputs of the state from each sample to the next, for each of H explanations: ``B u`` and pushes.
+    first : int
+        The sample from which on anything is not zero: before, nothing is computed.
 
     Returns
     -------
@@ -84,8 +89,10 @@ def innovations(
     start = np.concatenate([np.broadcast_to(recording.mean, (given, n)), np.eye(unknown, n)]).T
     samples, sensors = recording.y.shape
     white = np.zeros((len(A), given + unknown * len(recording.begins), samples, sensors))
-    predicted = np.empty((each, samples, n))
+    predicted = np.zeros((each, samples, n))
     for i, (begin, end) in enumerate(zip(recording.begins, (*recording.begins[1:], samples), strict=True)):
+        if (begin := max(begin, first)) >= end:
+            continue
         pushes = moved[:, :, begin:end].transpose(2, 0, 3, 1)
         index = filters[0].index[begin:end] if isinstance(filters[0], SampleFilter) else None
         e, z = _steps((A, C, gains), index, recording.y[begin:end], np.repeat(pushes, each, axis=1), start)
@@ -96,7 +103,7 @@ def innovations(
         white[:, :given, begin:end] = whitened[:, :given]
         white[:, errors : errors + unknown, begin:end] = whitened[:, given:]
         predicted[:, begin:end] = z[:each]
-    return [white[first : first + each] for first in range(0, len(white), each)], predicted.mean(axis=0)
+    return [white[i : i + each] for i in range(0, len(white), each)], predicted.mean(axis=0)
 
 
 def _steps(
@@ -175,7 +182,7 @@ def lagged(u: Floats, steps: float, before: Floats) -> Floats:
 
 
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
-    """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm, as with delays."""
+    """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm."""
     from scipy.linalg import expm
 
     if (rate := _rate(model)) is None:
@@ -196,8 +203,6 @@ def _rate(model: LinearModel) -> Floats | None:
     """Return the logarithm of the plant's step, with all that is held during it; None if there is no real one."""
     from scipy.linalg import expm, logm
 
-    if model.delays is not None:
-        return None
     n, plant = model.states, model.states - model.disturbances
     A, B = model.matrix("A"), model.matrix("B")
     # Inputs of the plant (controls, estimated disturbances, the constant) are held during a step.

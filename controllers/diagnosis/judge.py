@@ -134,7 +134,8 @@ class Judge:
         squares = []
         for k in range(len(bank)):
             with np.errstate(all="ignore"):
-                squares.append(np.nan_to_num((self.free(white, k, begin) ** 2).mean(axis=1), nan=np.inf))
+                free = self.free(white, k, begin)
+                squares.append(np.nan_to_num((free**2).sum(axis=1) / free.shape[1], nan=np.inf))
         return self.losses(np.array(squares), bank), np.array(squares)
 
     def losses(self, squares: Floats, bank: Observers | None = None) -> Floats:
@@ -217,7 +218,9 @@ class Judge:
             begins=(0,) if whole else self.recording.begins,
             presence=None if whole else self.recording.presence,
         )
-        (white,), _ = innovations([self.model], [self.bank], silent, pushes[None])
+        pushed = np.flatnonzero(pushes.any(axis=(0, 2)))
+        first = int(pushed.min(initial=len(self.moved))) if np.ndim(readings) == 0 and not readings else 0
+        (white,), _ = innovations([self.model], [self.bank], silent, pushes[None], first)
         return np.asarray(white[:, : len(pushes)])
 
     def fitted(self, kind: str, responses: Floats, meaning: Floats | None = None) -> Explanation:

@@ -144,6 +144,23 @@ def extended_rows(model: Any, rows: Floats) -> Floats:
     return np.insert(rows, [delays.plant] * delays.states, 0.0, axis=1)
 
 
+def aligned(model: Any, y: Floats, u: Floats) -> tuple[Floats, Floats]:
+    """Return samples and controls of a model with delays as ``model.undelayed`` has them: readings earlier, controls later.
+
+    Of each sensor the last samples are missing, as they come after the recording. The controls before the recording are unknown,
+    and the samples while one of them acts count as missing: the plant then begins in an unknown state.
+    """
+    if model.delays is None:
+        return y, u
+    samples, controls = np.full_like(y, np.nan), np.repeat(u[:1], len(u), axis=0)
+    for i, old in enumerate(model.delays.sensors):
+        samples[: max(len(y) - old, 0), i] = y[old:, i]
+    for j, late in enumerate(model.delays.inputs):
+        controls[late:, j] = u[: max(len(u) - late, 0), j]
+    samples[: max(model.delays.inputs)] = np.nan
+    return samples, controls
+
+
 def whole_delays(title: str, value: object, size: int, what: str, dt: Any = None) -> tuple[int, ...]:
     """Return the samples by which each signal is late; one number stands for all. The error converts seconds by the step `dt`.
 
@@ -204,4 +221,4 @@ def _names(model: Any) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return controls, sensors
 
 
-__all__ = ["Delays", "extended_covariance", "extended_rows", "whole_delays", "with_delays"]
+__all__ = ["Delays", "aligned", "extended_covariance", "extended_rows", "whole_delays", "with_delays"]

@@ -822,6 +822,23 @@ def test_delays_of_a_model_that_are_too_long_are_named(case):
     assert diagnose_recording(right.with_delays(samples), y, u) is None
 
 
+@pytest.mark.parametrize(("factor", "effect", "kind"), [(1.0, 0.6, "gain"), (0.5, 0.5, "dt")])
+def test_errors_beside_a_long_delay_are_named(factor, effect, kind):
+    """The past controls are known: they are no states of a plant with other dynamics, and no time scale changes a delay."""
+    A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]])
+    right = controllers.LinearModel(A, B, [[1, 0], [1, 0], [0, 1]], 1e-2 * B @ B.T, 4e-4, dt=0.1)
+    rng, plant = np.random.default_rng(1), faster(right, factor)
+    u = np.repeat(rng.normal(size=(25, 1)), 8, axis=0)
+    y, x = np.empty((len(u), 3)), np.zeros(2)
+    for k in range(len(u)):
+        y[k] = x[[0, 0, 1]] + 0.02 * rng.normal(size=3)
+        pushed = effect / factor * u[k - 12] if k >= 12 else np.zeros(1)
+        x = plant.matrix("A") @ x + plant.matrix("B") @ pushed + 0.1 * B[:, 0] * rng.normal()
+    finding = diagnose_recording(right.with_delays(12), y, u)
+    assert finding.kind == kind
+    assert finding.values[0] == pytest.approx(0.6 if kind == "gain" else factor, abs=0.05)
+
+
 def test_delayed_controls_come_later():
     np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2, [9.0]), [[9.0], [9.0], [1.0]])
 

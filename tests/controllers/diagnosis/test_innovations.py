@@ -42,6 +42,18 @@ def test_they_are_those_of_the_recursion(samples, begins):
     assert np.allclose(predicted, mean, rtol=1e-12, atol=1e-11)
 
 
+@pytest.mark.parametrize("first", [0, 1, 30, 49, 60, 202])
+def test_before_the_first_push_nothing_is_computed_and_all_is_zero(first):
+    rng, begins = np.random.default_rng(first), (0, 50, 53, 190)
+    model = controllers.LinearModel([[1.0, 0.1], [-0.2, 0.9]], [[0.0], [1.0]], np.eye(2), 1e-3, 0.01, dt="0.1")
+    bank = observers(model, ((0, 1),))
+    moved = np.where(np.arange(203)[:, np.newaxis] < first, 0.0, rng.standard_normal((1, 4, 203, 2)))
+    recording = Recording(np.zeros((203, 2)), np.zeros((203, 1)), np.zeros(2), begins)
+    whole, late = (innovations([model], [bank], recording, moved, k)[0][0][:, :4] for k in (0, first))
+    assert np.allclose(late, whole, rtol=1e-12, atol=1e-12)
+    assert whole.any() == (first < 202)  # a push at the last sample moves no other one
+
+
 def test_a_column_is_the_response_to_an_error_of_a_state_where_it_begins():
     rng = np.random.default_rng(3)
     model = controllers.LinearModel([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2), 1e-3, 0.01, dt="0.1")

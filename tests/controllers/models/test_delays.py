@@ -8,6 +8,7 @@ from filterpy.kalman import KalmanFilter
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, LQGController, StateEstimator
+from bayesftc.controllers.models.delays import aligned
 from bayesftc.cosim.errors import ModelError
 
 A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]])
@@ -47,6 +48,28 @@ def simulated(steps, seed=0):
         x[t + 1] = A @ x[t] + B @ acting + rng.multivariate_normal(np.zeros(2), Q)
     y = np.array([[C[i] @ x[max(t - d, 0)] for i, d in enumerate(OLD)] for t in range(steps)])
     return u, y + rng.normal(size=y.shape) * np.sqrt(np.diag(R))
+
+
+def test_aligned_samples_and_controls_are_those_of_the_undelayed_model():
+    rng, model = np.random.default_rng(0), cart().with_delays(LATE, OLD)
+    x, u = np.zeros(model.states), rng.normal(size=(30, 1))
+    x[:2] = [0.3, -0.2]
+    x[2:5], y, states = [1.0, -2.0, 0.5], [], []
+    for control_ in u:
+        states.append(x)
+        y.append(model.matrix("C") @ x)
+        x = model.matrix("A") @ x + model.matrix("B") @ control_
+    samples, controls = aligned(model, np.array(y), u)
+    plant = model.undelayed
+    for k, state in enumerate(states[:-1]):
+        if k >= LATE:
+            there = ~np.isnan(samples[k])
+            assert there.tolist() == [k < 30 - old for old in OLD]
+            np.testing.assert_allclose(samples[k][there], (plant.matrix("C") @ state[:2])[there], atol=1e-12)
+            moved = plant.matrix("A") @ state[:2] + plant.matrix("B") @ controls[k]
+            np.testing.assert_allclose(moved, states[k + 1][:2], atol=1e-12)
+        else:
+            assert np.isnan(samples[k]).all()
 
 
 def by_hand():
