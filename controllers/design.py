@@ -127,9 +127,10 @@ def design(
         Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of a size: half the range
         between its limits; without limits `acceptable_control`; without this, too, its value at the operating point, at least 1.
         The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is a state of the plant that such
-        noise drives. Noise that is given replaces the default: name a control as well if it has some. Give the noise if you know
-        it. If the plant moves far less at random than the default assumes, the belief follows the noise of the sensors: it is
-        less accurate than its variance says, and equal sensors seem unequal.
+        noise drives. Noise that is given replaces the default: name a control as well if it has some (in `closed_loop`,
+        noise at a control needs a sum before the plant). Give the noise if you know it. If the plant moves far less at random
+        than the default assumes, the belief follows the noise of the sensors: it is less accurate than its variance says, and
+        equal sensors seem unequal.
         `describe()` prints the noise.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that is due to a load, or to a plant

@@ -27,6 +27,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cosim.base.recordings",),
     ("cosim.elementary",),
     ("cosim.ops", "cosim.ports"),
+    ("cosim.array_ports",),
     ("cosim.stepping", "cosim.stepping.source"),
     ("cosim.stepping.translate",),
     ("cosim.stepping.machine",),

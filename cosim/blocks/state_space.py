@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesftc.cosim.array_ports import gathered
 from bayesftc.cosim.base.numbers import reals
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block, Definition
@@ -97,6 +98,8 @@ class StateSpace(Block):
         For continuous nonlinear systems: solver and tolerances of ``solve_ivp``.
     units : mapping, optional
         Units of signals, by name, for figures, tables and connections: ``{"force": "N", "v": "m/s"}``.
+    arrays : bool
+        Whether consecutive signals ``y[0]``, ``y[1]``, python-control's own names, become one port ``y``, as of a controller.
 
     Raises
     ------
@@ -125,6 +128,7 @@ class StateSpace(Block):
     rtol: float = field(default=1e-9, kw_only=True)
     atol: float = field(default=1e-12, kw_only=True)
     units: Mapping[str, str] | None = field(default=None, kw_only=True, hash=False)
+    arrays: bool = field(default=False, kw_only=True)
 
     checks_finite: ClassVar[bool] = True
 
@@ -200,12 +204,13 @@ class StateSpace(Block):
         ]
         if self.process_noise is not None:
             ports.append(Port(NOISE, (self._states,), feedthrough=False, draw="normal"))
-        return tuple(ports)
+        return gathered(ports) if self.arrays else tuple(ports)
 
     @property
     def outputs(self) -> tuple[Port, ...]:
         """A scalar port for each output signal."""
-        return tuple(Port(name, unit=self._unit(name), description="Output of the system") for name in self._names[1])
+        ports = [Port(name, unit=self._unit(name), description="Output of the system") for name in self._names[1]]
+        return gathered(ports) if self.arrays else tuple(ports)
 
     def _unit(self, name: str) -> str | None:
         return (self.units or {}).get(name)
@@ -269,7 +274,7 @@ class StateSpace(Block):
 
     def _define_nonlinear(self, h: float, noise: Floats | None) -> Definition:
         system, params = self.system, None if self.params is None else dict(self.params)
-        feeds = np.array([port.feedthrough for port in self.inputs if port.name != NOISE], dtype=bool)
+        feeds = np.array([name in self._fed for name in self._names[0]], dtype=bool)
         x0, m = np.array(self.initial), len(feeds)
         _check_feedthrough(system, x0, feeds, params)
         doubtful = self.feedthrough is None and not feeds.all()  # what was found by trials at one state

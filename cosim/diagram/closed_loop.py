@@ -87,9 +87,9 @@ def closed_loop(
     ----------
     plant : Block, or system of python-control
         An `FMU`, a `StateSpace`, or any block. A system of python-control becomes a `StateSpace`.
-    controller : Block
+    controller : Block, or system of python-control
         A block with inputs ``y`` and ``goal`` and the output ``u``, or an exported controller: ``FMU("controller.fmu")``. One of
-        FMI 2.0 gets ``arrays=True``, so that its ``y[0]`` and ``y[1]`` are one port.
+        FMI 2.0, and a system of python-control, gets ``arrays=True``, so that its ``y[0]`` and ``y[1]`` are one port.
     control : str or sequence of str
         The plant's inputs for ``u``, in its order: vectors as a whole, or elements of them (``"u[1]"``).
     measured : str or sequence of str
@@ -160,7 +160,7 @@ def closed_loop(
     (1.0, 0.5)
     """
     plant = StateSpace(plant) if is_system(plant) else plant
-    controller = with_arrays(controller)
+    controller = with_arrays(StateSpace(controller) if is_system(controller) else controller)
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
     diagram.defer_units()  # a block that converts them may replace a connection of the loop
@@ -209,7 +209,8 @@ def closed_loop(
             raise ConnectionError(
                 f"noise names {name!r}, which has a control already. To add a disturbance to the control, put a sum before the "
                 "plant: closed_loop(blocks={'disturbance': cosim.Gaussian(std=0.1), 'total': cosim.Sum()}, "
-                f"connections=[(['plant.{name}', 'disturbance.y'], 'total.u'), ('total.y', 'plant.{name}')])."
+                f"connections=[(['plant.{name}', 'disturbance.y'], 'total.u'), ('total.y', 'plant.{name}')]). On the left of a "
+                f"connection, 'plant.{name}' is what the plant got before: the control."
             )
         _check_source(f"noise[{name!r}]", source)
         target = _input(node, name, "noise")
@@ -296,8 +297,8 @@ def base_step(controller: Block, dt: float | str | Fraction | None) -> float | s
 
 
 def with_arrays(controller: Block) -> Block:
-    """Return a controller with array ports: an FMU without arrays has numbers in their place, ``y[0]``, ``y[1]``."""
-    if not isinstance(controller, FMU) or controller.arrays:
+    """Return a controller with array ports: some FMUs, and python-control, have numbers in their place, ``y[0]``, ``y[1]``."""
+    if not isinstance(controller, FMU | StateSpace) or controller.arrays:
         return controller
     scalars, gathered = controller, replace(controller, arrays=True)
     return gathered if len(_missing_ports(gathered)) < len(_missing_ports(scalars)) else scalars
@@ -323,10 +324,11 @@ def _check_kinds(plant: object, controller: object, sensors: object, noise: obje
             )
     assert isinstance(controller, Block)
     for kind, name in _missing_ports(controller)[:1]:
+        named = "Name those of a system of python-control: control.ss(..., inputs=['y[0]', 'y[1]', 'goal'], outputs=['u']). "
         raise UnknownNameError(
             f"The controller, of the kind {type(controller).__name__}, has no {kind} {name!r}; a controller has the "
-            "inputs y and goal and the output u. Check whether plant and controller are exchanged. Connect blocks with "
-            "other ports in a cosim.Diagram."
+            "inputs y and goal and the output u. Check whether plant and controller are exchanged. "
+            f"{named * isinstance(controller, StateSpace)}Connect blocks with other ports in a cosim.Diagram."
         )
     if not isinstance(sensors, Sensors | None):
         raise ModelError(

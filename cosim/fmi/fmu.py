@@ -11,13 +11,13 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from bayesftc.cosim.array_ports import gathered, scattered
 from bayesftc.cosim.base.units import UnitDefinition, difference
 from bayesftc.cosim.block import External, ExternalBlock
 from bayesftc.cosim.errors import FMUError, FMUVersionError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.fmi.binaries.library import Beginning
 from bayesftc.cosim.fmi.exchange.settings import checked_settings
 from bayesftc.cosim.fmi.reading.archive import Archive, absolute, open_archive
-from bayesftc.cosim.fmi.reading.arrays import gathered, scattered
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Given, Value, read_description
 from bayesftc.cosim.fmi.reading.ports import WATCHED, choose, choose_tunable, late_outputs, ticking_clocks
 from bayesftc.cosim.fmi.running.values import as_floats, resolved, start_values, value_of

@@ -66,10 +66,10 @@ LOUDER = 1.5
 """Ratio of the noise of sensors to the expected one from which this is the reason why all of them are blamed."""
 
 LOOK_AT_MODEL = (
-    "Look at the model first: gain, time constants and delay of the plant, an input that it lacks, a constant offset of other "
-    "sensors (such as gyros), an error that other sensors share (with_sensor_errors, common=True), noise that is larger than "
-    "process_covariance or sensor_covariance, or a process_covariance (noise= in design) that is several times too large. After "
-    f"a longer run without faults, controllers.diagnose(result, controller) may name the error. {ESTIMATE_A_LOAD}"
+    "Look at the model first. The plant may have another gain, time constant or delay, or an input that the model lacks. The "
+    "noise may be larger than the model says, many times smaller, or act elsewhere (process_covariance, sensor_covariance; noise "
+    "in design). Other sensors may have an offset, or an error that they share (with_sensor_errors). After a longer run without "
+    f"faults, controllers.diagnose(result, controller) may name the error. {ESTIMATE_A_LOAD}"
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
 

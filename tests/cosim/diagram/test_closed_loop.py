@@ -150,7 +150,7 @@ def test_a_disturbance_is_added_to_the_control_as_the_error_says():
     """The remedy in the message is run as it stands; the plant gets the sum of both."""
     with pytest.raises(cosim.ConnectionError, match="put a sum before the plant") as found:
         loop(noise={"force": cosim.Gaussian(1.0)})
-    remedy = re.search(r"closed_loop(\(.*\))\.$", str(found.value))[1]
+    remedy = re.search(r"closed_loop(\(.*\))\. On the left", str(found.value))[1]
     mended = eval(f"loop{remedy}", {"loop": loop, "cosim": cosim})
     run = mended.simulate(1, seed=1, record=["controller.u", "disturbance.y", "total.y"])
     assert run["disturbance.y"].std() > 0.05
@@ -585,3 +585,31 @@ def test_a_reference_has_the_unit_of_the_samples_that_the_controller_receives():
     assert [sensor.unit for sensor in converted.simulate(0.5).roles.sensors] == ["m", "m"]
     with pytest.raises(cosim.ConnectionError, match=r"reference\.y is in km, .* is in m; put Gain\(1000\)"):
         loop(cosim.Gain(ten, input_unit="V", output_unit="m"), "km")
+
+
+@pytest.mark.parametrize("kind", ["linear", "nonlinear", "block"])
+def test_a_controller_of_python_control_has_its_vectors_in_numbers(kind):
+    """An observer and a gain, in the names of python-control; the loop's signals are those of the matrices."""
+    plant = ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["x"])
+    A, B, C, D = np.array([[0.5]]), np.array([[0.2, 0.1, 0.3]]), np.array([[-1.0]]), np.array([[-0.5, -0.25, 2.0]])
+    names = {"inputs": ["y[0]", "y[1]", "goal"], "outputs": ["u"]}
+    own = ss(A, B, C, D, 0.1, **names)
+    if kind == "nonlinear":
+        own = nlsys(lambda t, x, u, p: A @ x + B @ u, lambda t, x, u, p: C @ x + D @ u, states=1, dt=0.1, **names)
+    loop = cosim.closed_loop(
+        plant, cosim.StateSpace(own) if kind == "block" else own, control="u", measured="x", sensors=cosim.Sensors(2, 0.1),
+        reference=1.0, dt=0.1,
+    )  # fmt: skip
+    result = loop.simulate(3.0, seed=1)
+    x, z = 0.0, np.zeros(1)
+    for at, y, u in zip(result["plant.x"], result["sensors.y"], result["controller.u"], strict=True):
+        assert at == pytest.approx(x, abs=1e-12)
+        given = np.array([*y, 1.0])
+        assert np.ravel(u) == pytest.approx(C @ z + D @ given, abs=1e-12)
+        x, z = 0.9 * x + 0.1 * float(np.ravel(u)[0]), A @ z + B @ given
+
+
+def test_a_controller_of_python_control_without_names_is_told_them():
+    own = ss([[0.5]], [[0.2, 0.1, 0.3]], [[-1.0]], [[0, 0, 0]], 0.1)
+    with pytest.raises(cosim.UnknownNameError, match=r"inputs=\['y\[0\]', 'y\[1\]', 'goal'\], outputs=\['u'\]"):
+        cosim.closed_loop(Car(), own, control="force", measured="speed", sensors=cosim.Sensors(2, 0.1), reference=1.0)

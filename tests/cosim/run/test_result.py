@@ -420,7 +420,7 @@ def test_a_result_says_that_a_healthy_sensor_is_blamed_often(factor):
     assert re.fullmatch(r"sensor 2 \(motor_angle\) is blamed for 3\d% of its fault-free time", note)
     assert repr(result).endswith(f", {note}>")
     (sentence,) = result.summary().notes
-    assert sentence.startswith(f"S{note[1:]}. Look at the model first: ")
+    assert sentence.startswith(f"S{note[1:]}. Look at the model first. ")
 
 
 def _turbine(stated):

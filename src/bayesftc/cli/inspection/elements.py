@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby, product
 from typing import TYPE_CHECKING
 
-from bayesftc.cosim.fmi.reading.arrays import ELEMENT
+from bayesftc.cosim.array_ports import ELEMENT
 
 if TYPE_CHECKING:
     from bayesftc.cosim.fmi.fmu import FMUVariable
