@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 from bayesftc.cosim.campaign.runs.job import Job
-from bayesftc.cosim.campaign.runs.metrics import Metric
+from bayesftc.cosim.campaign.runs.metrics import Metric, OfResult
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.roles import known_roles
 
@@ -28,8 +28,10 @@ def described(job: Job) -> dict[str, Any]:
 
 
 def _settings(metric: Metric) -> dict[str, Any]:
-    """Return the kind and the settings of a metric, as in a campaign file; of functions their names."""
-    return {"kind": type(metric).__name__, **{name: _setting(value) for name, value in vars(metric).items()}}
+    """Return the kind and the settings of a metric, as in a campaign file; of functions their names, without units."""
+    shown = {"unit"} if isinstance(metric, OfResult) else set()
+    settings = {name: _setting(value) for name, value in vars(metric).items() if name not in shown}
+    return {"kind": type(metric).__name__, **settings}
 
 
 def _setting(value: Any) -> Any:

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.campaign.designs.plan import Outcome
-from bayesftc.cosim.campaign.runs.columns import factor_columns, run_columns
+from bayesftc.cosim.campaign.runs.columns import factor_columns, run_columns, unit_attributes
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
@@ -31,6 +32,8 @@ class CampaignResult:
         column for each metric.
     dataset : xarray.Dataset
         The recorded signals over ``run`` and ``time`` (seconds), with point, seed and factors as coordinates of the runs.
+    units : dict of str to str
+        The unit of each column of `table` that has one, such as ``"m/s"``.
     metadata : dict of str to object
         How the runs were made: ``executor`` has the name of the executor, and the reason for it.
 
@@ -50,8 +53,14 @@ class CampaignResult:
     'Threads: all blocks are compiled, and no FMU needs a separate process.'
     """
 
-    def __init__(self, table: Callable[[], pd.DataFrame], dataset: Callable[[], xr.Dataset]):
+    def __init__(
+        self,
+        table: Callable[[], pd.DataFrame],
+        dataset: Callable[[], xr.Dataset],
+        units: Mapping[str, str] | None = None,
+    ):
         self._make_table, self._make_dataset = table, dataset
+        self.units = dict(units or {})
         self.metadata: dict[str, Any] = {}
         self._table: pd.DataFrame | None = None
 
@@ -73,8 +82,9 @@ class CampaignResult:
         return f"<CampaignResult: {len(table)} runs{f', {failed} failed' if failed else ''}>"
 
     def _repr_html_(self) -> str:
-        """Return the first and the last runs as a table, for notebooks."""
-        shown: str = self.table._repr_html_()  # type: ignore[operator]
+        """Return the first and the last runs as a table with units, for notebooks."""
+        headings = {name: with_unit(name, unit) for name, unit in self.units.items()}
+        shown: str = self.table.rename(columns=headings)._repr_html_()  # type: ignore[operator]
         return f"<p><b>{escape(repr(self)[1:-1])}</b></p>\n{shown}"
 
 
@@ -82,7 +92,7 @@ class InMemory:
     """Keeps the outcomes of a campaign in memory."""
 
     def __init__(self, job: Job, labels: Sequence[Mapping[str, Any]]):
-        self._job, self._labels = job, labels
+        self._job, self._labels, self._units = job, labels, job.units_of_columns(labels)
         n = job.plan.runs
         numbers = sum(len(job.time) * int(np.prod(s.shape)) for s in job.signals.values())
         if 8 * n * numbers > memory():
@@ -107,7 +117,7 @@ class InMemory:
 
     def result(self) -> CampaignResult:
         """Return the kept outcomes."""
-        return CampaignResult(self._table, self._dataset)
+        return CampaignResult(self._table, self._dataset, self._units)
 
     @cached_property
     def _runs(self) -> dict[str, Any]:
@@ -126,10 +136,14 @@ class InMemory:
 
         job = self._job
         signals = {
-            name: (("run", "time", *(f"{name}_{d}" for d in range(values.ndim - 2))), values, _attributes(job, name))
+            name: (
+                ("run", "time", *(f"{name}_{d}" for d in range(values.ndim - 2))),
+                values,
+                unit_attributes(job.signals[name].unit),
+            )
             for name, values in self._signals.items()
         }
-        of_runs = {name: ("run", values) for name, values in self._runs.items()}
+        of_runs = {name: ("run", values, unit_attributes(self._units.get(name))) for name, values in self._runs.items()}
         return xr.Dataset(
             signals, {**of_runs, "status": ("run", self._status), "time": ("time", job.time, {"units": "s"})}
         )
@@ -141,11 +155,6 @@ def memory() -> float:
         return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
         return float("inf")
-
-
-def _attributes(job: Job, name: str) -> dict[str, str]:
-    unit = job.signals[name].unit
-    return {"units": unit} if unit else {}
 
 
 __all__ = ["CampaignResult", "InMemory"]

@@ -96,8 +96,9 @@ def in_store(
     """
     signals = {name: (signal.shape, signal.unit) for name, signal in job.signals.items()}
     begin = CampaignStore.resume if (path / NAME).exists() else CampaignStore.create
+    units = job.units_of_columns(labels)
     with begin(
-        path, {**described(job), **description}, job.plan, signals, job.time, job.columns, fmus_of(job), labels
+        path, {**described(job), **description}, job.plan, signals, job.time, job.columns, fmus_of(job), labels, units
     ) as store:
         with written_to(path):
             keep_job(path, job)
@@ -119,7 +120,7 @@ def in_store(
             progress(runs, job.plan.runs, len(failed))
         store.finish()
     kept = CampaignStore.open(path)
-    return CampaignResult(kept.table, kept.dataset)
+    return CampaignResult(kept.table, kept.dataset, kept.metadata.units)
 
 
 @contextmanager

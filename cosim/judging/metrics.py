@@ -21,7 +21,7 @@ follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,9 @@ from bayesftc.cosim.judging.signals import (
 from bayesftc.cosim.types import Floats
 
 NAN = float("nan")
+
+OF_SIGNAL, SECONDS, PRECISION = {"unit": "{unit}"}, {"unit": "s"}, {"unit": "1/({unit})^2"}
+"""Units of figures, as metadata of their fields: ``{unit}`` is that of the record, of errors that of the quantity."""
 
 LIMITED, SWINGS = 0.3, 0.1
 """Share of a run at the limits of a control from which the run has a note; share at each of two between which it swings."""
@@ -78,10 +81,10 @@ class Errors:
         After the first fault has begun, while none is present: after or between faults.
     """
 
-    overall: float
-    before: float
-    during: float
-    after: float
+    overall: float = field(metadata=OF_SIGNAL)
+    before: float = field(metadata=OF_SIGNAL)
+    during: float = field(metadata=OF_SIGNAL)
+    after: float = field(metadata=OF_SIGNAL)
 
 
 @dataclass(frozen=True)
@@ -128,12 +131,12 @@ class Detection:
     faults: float
     seen_as_missing: float
     missed: float
-    delay: float
+    delay: float = field(metadata=SECONDS)
     false_alarm_rate: float
     auc: float
     ranked_by: str | None
-    precision_healthy: float
-    precision_faulty: float
+    precision_healthy: float = field(metadata=PRECISION)
+    precision_faulty: float = field(metadata=PRECISION)
     title: str = ""
 
 
@@ -159,7 +162,7 @@ class InputFaults:
     unit: str | None
     fault_share: float
     faults: float
-    deviation: float
+    deviation: float = field(metadata=OF_SIGNAL)
 
 
 @dataclass(frozen=True)
@@ -195,7 +198,7 @@ class ActuatorFaults:
     mean_probability: float
     alarm_share: float
     missed: float
-    delay: float
+    delay: float = field(metadata=SECONDS)
     false_alarm_rate: float
     auc: float
     kind: str | None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import Field, fields, is_dataclass, replace
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -13,8 +13,10 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
+from bayesftc.cosim.diagram.roles import units_of
 from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time, with_rates
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
+from bayesftc.cosim.export.units import unit_of_setting
 from bayesftc.cosim.fmi.fmu import FMU
 
 FITTED = ("channels", "signals")
@@ -76,6 +78,24 @@ def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
                 blocks[name] = _in_place_of(blocks[name], change.value, change.path)
         blocks[name] = _changed(blocks[name], [change for change in of_block if change.steps])
     return with_rates(diagram.rewired(blocks | _previews(diagram, blocks)), diagram)
+
+
+def unit_of_factor(diagram: Diagram, path: str) -> str | None:
+    """Return the unit of a block's setting, or of a parameter of an FMU; None if there is none, or no such setting."""
+    blocks = {node.name: node.block for node in diagram.nodes}
+    try:
+        name, steps = _split(path, blocks)
+    except BayesFTCError:  # a loop that is a function has factors of any names
+        return None
+    block, setting = blocks[name], _joined(steps)
+    declared: Mapping[str, Field[Any]] = getattr(block, "__dataclass_fields__", {})
+    whole = setting.partition("[")[0]
+    if isinstance(block, FMU) and whole not in declared:
+        setting = setting.removeprefix("parameters.")
+        units = {variable.name: variable.unit for variable in block.description.variables}
+        return units.get(setting) or units.get(setting.rpartition("[")[0])
+    text = str(declared[whole].metadata.get("unit", "")) if whole in declared else ""
+    return unit_of_setting(text, name, units_of(diagram))
 
 
 def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]:
@@ -208,7 +228,7 @@ def _has_parameters(part: Any, step: str) -> bool:
 
 def _set_parameter(fmu: FMU, parameters: dict[str, Any], steps: Sequence[str], change: Change) -> None:
     """Set a parameter of an FMU, or an element of an array; names may contain dots and brackets."""
-    name, value = "".join(s if s.startswith("[") else f".{s}" for s in steps).lstrip("."), change.value
+    name, value = _joined(steps), change.value
     try:
         fmu.start_value(name)
     except UnknownNameError:
@@ -217,6 +237,10 @@ def _set_parameter(fmu: FMU, parameters: dict[str, Any], steps: Sequence[str], c
             raise
         name, value = base, _with_element(parameters.get(base, array), index.rstrip("]"), [change._replace(steps=())])
     parameters[name] = value
+
+
+def _joined(steps: Sequence[str]) -> str:
+    return "".join(s if s.startswith("[") else f".{s}" for s in steps).lstrip(".")
 
 
 def _with_element(part: Any, index: str, changes: Sequence[Change]) -> Any:
@@ -237,4 +261,4 @@ def _with_element(part: Any, index: str, changes: Sequence[Change]) -> Any:
     return tuple(items) if isinstance(part, tuple) else items
 
 
-__all__ = ["varied"]
+__all__ = ["unit_of_factor", "varied"]

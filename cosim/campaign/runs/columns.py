@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -39,10 +39,17 @@ def factor_columns(labels: Sequence[Mapping[str, Any]], taken: Iterable[str] = (
     """
     names = dict.fromkeys(name for point in labels for name in point)
     reserved = {*OWN, *taken}
-    return {
-        f"factor:{name}" if name in reserved else name: _column(name, [point.get(name) for point in labels])
-        for name in names
-    }
+    return {column_of(name, reserved): _column(name, [point.get(name) for point in labels]) for name in names}
+
+
+def column_of(factor: str, reserved: Container[str]) -> str:
+    """Return the name of the column of a factor."""
+    return f"factor:{factor}" if factor in reserved else factor
+
+
+def unit_attributes(unit: str | None) -> dict[str, str]:
+    """Return the attributes of a variable of a dataset."""
+    return {"units": unit} if unit else {}
 
 
 def run_columns(plan: Plan, factors: Mapping[str, Array], begin: int = 0, end: int | None = None) -> dict[str, Array]:
@@ -73,4 +80,4 @@ def _column(name: str, values: list[Any]) -> Array:
     return texts
 
 
-__all__ = ["OWN", "factor_columns", "run_columns"]
+__all__ = ["OWN", "column_of", "factor_columns", "run_columns", "unit_attributes"]

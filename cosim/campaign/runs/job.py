@@ -15,9 +15,9 @@ import numpy as np
 
 from bayesftc.cosim.base.timebase import whole_steps
 from bayesftc.cosim.blocks.faults.base import Fault
-from bayesftc.cosim.campaign.designs.factors import varied
+from bayesftc.cosim.campaign.designs.factors import unit_of_factor, varied
 from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Piece, Plan
-from bayesftc.cosim.campaign.runs.columns import OWN
+from bayesftc.cosim.campaign.runs.columns import OWN, column_of
 from bayesftc.cosim.campaign.runs.metrics import Metric, Runs, is_number
 from bayesftc.cosim.campaign.runs.truth import FAULTY, MISSING, SensorTruth
 from bayesftc.cosim.diagram.diagram import Diagram
@@ -109,6 +109,11 @@ class Job:
         for name in self.columns:
             if name in OWN or not name:
                 raise ModelError(f"A metric is called {name!r}, which is not allowed; give it another name=...")
+        self.units = {name: unit for metric in self.metrics for name, unit in metric.units(first).items() if unit}
+        for name, unit in self.units.items():
+            if not isinstance(unit, str):
+                raise ModelError(f"The metric {name!r} has the unit {brief(unit)}; it must be a text, such as 'm/s'.")
+        self.units_of_factors = {path: unit_of_factor(first, path) for path in self.plan.points[0]}
         self.step, self.steps = first.step, whole_steps(duration, first.step, "The duration")
         self._prepare()
 
@@ -142,6 +147,23 @@ class Job:
                 f"The loop of a campaign must be a Diagram, or a function that returns one, not {diagram!r}."
             )
         return diagram.watching(self.record).build()
+
+    def units_of_columns(self, labels: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+        """Return the unit of each column that has one: of a factor, if it stands there by its plain numbers, and of a metric.
+
+        Parameters
+        ----------
+        labels : sequence of mapping of str to object
+            The label of each factor in tables, for each point.
+        """
+        pairs = list(zip(self.plan.points, labels, strict=True))
+        reserved = {*OWN, *self.columns, *self.signals}
+        factors = {
+            column_of(name, reserved): unit
+            for name, unit in self.units_of_factors.items()
+            if unit and all(is_number(point.get(name)) and point[name] == label.get(name) for point, label in pairs)
+        }
+        return factors | self.units
 
     def run(self, piece: Piece, keep_going: KeepGoing = lambda: True, overhead: Overhead = lambda: None) -> Outcome:
         """Make the runs of a piece.

@@ -7,9 +7,10 @@ To write a metric you must:
 2. return from ``signals(diagram)`` the names of the signals that it needs, recorded at every step;
 3. return from ``columns(diagram)`` the names of its numbers, and refuse in ``check(diagram)`` settings that do not fit; both
    are called for the first point of a campaign, before anything runs;
-4. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN if it is not defined. It
+4. return from ``units(diagram)`` the unit of each number that has one; without this method they have none;
+5. return from ``evaluate(runs)`` an array for each of these names, with a number for each run; NaN if it is not defined. It
    gets only complete runs, and may be called in several threads at once;
-5. list it in `METRICS` and in ``cosim/__init__.pyi``, and add it with its formula in NumPy to
+6. list it in `METRICS` and in ``cosim/__init__.pyi``, and add it with its formula in NumPy to
    ``tests/cosim/campaign/test_campaign.py``. Campaign files can then name it.
 
 Any function from a `Result` to a number is a metric as well, named after the function. It is called run by run.
@@ -23,10 +24,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from math import prod
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from bayesftc.cosim.diagram.roles import UnitsOfElements, units_of_elements
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
@@ -107,6 +110,10 @@ class Metric(ABC):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """Return the names of its numbers."""
 
+    def units(self, diagram: Diagram) -> Mapping[str, str | None]:
+        """Return the units of its numbers by their names; a number without a unit may be missing."""
+        return {}
+
     def check(self, diagram: Diagram) -> None:  # noqa: B027 - most metrics have nothing to refuse
         """Refuse settings that do not fit the diagram, before anything runs."""
 
@@ -179,6 +186,13 @@ class _OfSignal(Metric):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
         return (self.name or f"{self._kind}({self.signal})",)
+
+    def units(self, diagram: Diagram) -> Mapping[str, str | None]:
+        """See `Metric.units`: that of the signal and the reference; none if these have different units."""
+        known = units_of_elements(diagram)
+        named = [name for name in (self.signal, self.reference) if isinstance(name, str)]
+        found = {_unit(name, diagram, known) for name in named} - {None}
+        return {self.columns(diagram)[0]: found.pop() if len(found) == 1 else None}
 
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """See `Metric.evaluate`."""
@@ -392,7 +406,11 @@ class LoopFigures(Metric):
 
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
-        return tuple(self._numbers(diagram, _Trial(diagram)))
+        return tuple(self.units(diagram))
+
+    def units(self, diagram: Diagram) -> Mapping[str, str | None]:
+        """See `Metric.units`."""
+        return {name: unit for name, _, unit in self._figures(diagram, _Trial(diagram))}
 
     def check(self, diagram: Diagram) -> None:
         """See `Metric.check`."""
@@ -404,14 +422,14 @@ class LoopFigures(Metric):
 
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """See `Metric.evaluate`."""
-        rows = [self._numbers(runs.diagram, result) for result in runs.results()]
+        rows = [{name: n for name, n, _ in self._figures(runs.diagram, result)} for result in runs.results()]
         return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
-    def _numbers(self, diagram: Diagram, result: Result) -> dict[str, float]:
-        numbers = dict(_flat(figures(loop_signals(diagram, result, drawn=False))))
-        if self.only is None:
-            return numbers
-        return {name: n for name, n in numbers.items() if any(fnmatchcase(name, pattern) for pattern in self.only)}
+    def _figures(self, diagram: Diagram, result: Result) -> Iterator[Figure]:
+        signals = loop_signals(diagram, result, drawn=False)
+        for figure in _flat(figures(signals), {quantity.name: quantity.unit for quantity in signals.quantities}):
+            if self.only is None or any(fnmatchcase(figure[0], pattern) for pattern in self.only):
+                yield figure
 
 
 class _Trial(Result):
@@ -427,18 +445,31 @@ class _Trial(Result):
         return super().__getitem__(name)
 
 
-def _flat(value: Any, name: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the numbers in nested dataclasses, mappings and tuples, by their paths."""
+Figure = tuple[str, float, str | None]
+"""Name, number and unit."""
+
+
+def _flat(
+    value: Any, units: Mapping[str, str | None], name: str = "", own: str | None = None, unit: str | None = None
+) -> Iterator[Figure]:
+    """Yield the numbers in nested dataclasses, mappings and tuples, by their paths, with the units in their fields.
+
+    `units` are those of the quantities, the keys of the mappings, and `own` that of the quantity of the value.
+    """
     if isinstance(value, float):
-        yield name, value
+        yield name, value, unit
         return
     of_tuple = isinstance(value, tuple)
+    declared, own = getattr(value, "__dataclass_fields__", {}), getattr(value, "unit", own)
     inner = enumerate(value) if of_tuple else (value if isinstance(value, Mapping) else vars(value)).items()
     for key, item in inner:
         if item is None or isinstance(item, str | int):
             continue
         part = getattr(item, "name", key) if of_tuple else key
-        yield from _flat(item, f"{name}.{part}" if name else str(part))
+        text = declared[key].metadata.get("unit", "") if key in declared else ""
+        unit = None if "{" in text and not own else text.format(unit=own) or None
+        of_item = units.get(str(key)) if isinstance(value, Mapping) else own
+        yield from _flat(item, units, f"{name}.{part}" if name else str(part), of_item, unit)
 
 
 @dataclass(frozen=True)
@@ -453,6 +484,8 @@ class OfResult(Metric):
         Names or patterns of the signals that it needs; by default all outputs.
     name : str, optional
         Name of the number; by default that of the function.
+    unit : str, optional
+        Unit of the number, for headings and axes.
 
     Examples
     --------
@@ -462,14 +495,16 @@ class OfResult(Metric):
     >>> diagram.connect(step["y"], lag["u"])
     >>> def rise_time(result):
     ...     return result.time[result["lag.y"] >= 0.9][0] - 0.5
-    >>> campaign = cosim.Campaign(diagram, duration=4.0, metrics=[cosim.OfResult(rise_time, needs=["lag.y"])])
-    >>> campaign.run().table["rise_time"].round(9).tolist()
-    [1.1]
+    >>> metric = cosim.OfResult(rise_time, needs=["lag.y"], unit="s")
+    >>> result = cosim.Campaign(diagram, duration=4.0, metrics=[metric]).run()
+    >>> result.table["rise_time"].round(9).tolist(), result.units
+    ([1.1], {'rise_time': 's'})
     """
 
     function: Callable[[Result], float]
     needs: Sequence[str] | None = None
     name: str | None = None
+    unit: str | None = None
 
     def signals(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.signals`."""
@@ -478,6 +513,10 @@ class OfResult(Metric):
     def columns(self, diagram: Diagram) -> tuple[str, ...]:
         """See `Metric.columns`."""
         return (self.name or str(getattr(self.function, "__name__", type(self.function).__name__)),)
+
+    def units(self, diagram: Diagram) -> Mapping[str, str | None]:
+        """See `Metric.units`."""
+        return {self.columns(diagram)[0]: self.unit}
 
     def evaluate(self, runs: Runs) -> Mapping[str, Floats]:
         """See `Metric.evaluate`."""
@@ -528,6 +567,16 @@ def _shape(name: str, diagram: Diagram) -> tuple[int, ...]:
             f"{base!r} has the shape {shape}, and no element {name.removeprefix(base)}; name another element."
         )
     return () if index else shape
+
+
+def _unit(name: str, diagram: Diagram, known: UnitsOfElements) -> str | None:
+    """Return the unit of a signal or of a named element of it; None if it is not known, or its elements have several."""
+    base, index = _resolved(name, diagram)
+    (shape,) = (shape for _, shape in select_signals(diagram.schedule, [base]).columns.values())
+    block, _, port = base.rpartition(".")
+    elements = np.arange(prod(shape)).reshape(shape)[index].ravel()
+    units = {known.get((block, port, int(i))) for i in elements}
+    return units.pop() if len(units) == 1 else None
 
 
 def is_number(value: object) -> bool:

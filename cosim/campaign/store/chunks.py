@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesftc.cosim.base.extras import extra
 from bayesftc.cosim.campaign.designs.plan import Piece
-from bayesftc.cosim.campaign.runs.columns import Array
+from bayesftc.cosim.campaign.runs.columns import Array, unit_attributes
 from bayesftc.cosim.campaign.store.metadata import Metadata, hash_of
 from bayesftc.cosim.errors import StoreError
 from bayesftc.cosim.types import Floats
@@ -165,12 +165,11 @@ def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping
     zarr = extra("zarr", PURPOSE)
     chunks, runs = Chunks(metadata), metadata.plan.runs
     group = zarr.create_group(folder / FOLDER, zarr_format=3)
-    named = {escaped(name): values for name, values in coordinates.items()}
-    _coordinate(group, "time", "time", times).attrs["units"] = "s"
-    for name, values in named.items():
-        _coordinate(group, name, "run", values)
+    _coordinate(group, "time", "time", times, "s")
+    for name, values in coordinates.items():
+        _coordinate(group, escaped(name), "run", values, metadata.units.get(name))
     for name, (shape, unit) in metadata.signals.items():
-        array = group.create_array(
+        group.create_array(
             escaped(name),
             shape=(runs, metadata.rows, *shape),
             chunks=chunks.shape(name),
@@ -179,16 +178,16 @@ def create(folder: Path, metadata: Metadata, times: Floats, coordinates: Mapping
             compressors=[zarr.codecs.ZstdCodec(level=0, checksum=True)],
             chunk_key_encoding={"name": "default", "separator": "."},  # one folder for each signal
             dimension_names=("run", "time", *(f"{name}_{axis}" for axis in range(len(shape)))),
+            attributes=unit_attributes(unit),
         )
-        if unit:
-            array.attrs["units"] = unit
+    named = map(escaped, coordinates)
     group.attrs["coordinates"] = " ".join(name for name in named if not set(name) & set(" \t\n") and name != "run")
     with warnings.catch_warnings():  # xarray warns without consolidated metadata, zarr with it
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(group.store)
 
 
-def _coordinate(group: Any, name: str, dimension: str, values: Array) -> Any:
+def _coordinate(group: Any, name: str, dimension: str, values: Array, unit: str | None) -> None:
     texts = values.dtype == object
     array = group.create_array(
         name,
@@ -196,9 +195,9 @@ def _coordinate(group: Any, name: str, dimension: str, values: Array) -> Any:
         chunks=(max(len(values), 1),),
         dtype=str if texts else values.dtype,
         dimension_names=(dimension,),
+        attributes=unit_attributes(unit),
     )
     array[:] = np.array(["" if v is None else v for v in values], dtype=object) if texts else values
-    return array
 
 
 def escaped(name: str) -> str:

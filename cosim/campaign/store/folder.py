@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -54,6 +55,7 @@ class CampaignStore(StoredCampaign):
         metrics: Iterable[str],
         fmus: Mapping[str, str | os.PathLike[str]] | None = None,
         labels: Iterable[Mapping[str, Any]] | None = None,
+        units: Mapping[str, str] | None = None,
     ) -> CampaignStore:
         """Make an empty store, open for writing.
 
@@ -75,6 +77,8 @@ class CampaignStore(StoredCampaign):
             The FMUs, by their SHA-256; they are copied.
         labels : iterable of mapping, optional
             The label of each factor in tables, for each point; by default the values.
+        units : mapping of str to str, optional
+            The unit of each column of the table that has one.
 
         Raises
         ------
@@ -82,7 +86,7 @@ class CampaignStore(StoredCampaign):
             If the folder cannot be written, is not empty, or an FMU has another hash.
         """
         path = Path(path).resolve()
-        make(path, metadata_of(description, plan, signals, time, metrics, fmus, labels), time, fmus or {})
+        make(path, metadata_of(description, plan, signals, time, metrics, fmus, labels, units), time, fmus or {})
         return cls(path, locked(path))
 
     @classmethod
@@ -107,6 +111,7 @@ class CampaignStore(StoredCampaign):
         metrics: Iterable[str],
         fmus: Mapping[str, str | os.PathLike[str]] | None = None,
         labels: Iterable[Mapping[str, Any]] | None = None,
+        units: Mapping[str, str] | None = None,
     ) -> CampaignStore:
         """Open a store for writing, to make the missing runs; unfinished files of a killed writer are removed.
 
@@ -116,8 +121,8 @@ class CampaignStore(StoredCampaign):
         ----------
         path : path
             Its folder.
-        description, plan, signals, time, metrics, fmus, labels
-            The campaign to resume, as for `create`.
+        description, plan, signals, time, metrics, fmus, labels, units
+            The campaign to resume, as for `create`. The units may be others than before.
 
         Raises
         ------
@@ -130,7 +135,7 @@ class CampaignStore(StoredCampaign):
             If versions, the platform or last digits of libraries have changed, or pieces are damaged.
         """
         path = Path(path).absolute()
-        given = metadata_of(description, plan, signals, time, metrics, fmus, labels)
+        given = metadata_of(description, plan, signals, time, metrics, fmus, labels, units)
         stored = Metadata.read(path)
         unlike = differences(stored.identity(), given.identity())
         if unlike:
@@ -139,6 +144,7 @@ class CampaignStore(StoredCampaign):
         try:
             with written_to(path):
                 store._recover()
+                store._note_units(given.units)
                 store._note_environment(given.environment)
         except BaseException:
             store.close()
@@ -341,6 +347,11 @@ class CampaignStore(StoredCampaign):
             for piece, sizes in part.sizes.items()
             if self._chunks and [_size(self.path / key) for key in self._chunks.keys(int(piece))] != sizes
         }
+
+    def _note_units(self, now: Mapping[str, str]) -> None:
+        if now != self.metadata.units:  # as of a store of an early version
+            self.metadata = replace(self.metadata, units=now)
+            self.metadata.write(self.path)
 
     def _note_environment(self, now: Mapping[str, Any]) -> None:
         changes = environment.changes(self.metadata.latest, now)

@@ -30,6 +30,7 @@ def metadata_of(
     metrics: Iterable[str],
     fmus: Mapping[str, str | os.PathLike[str]] | None,
     labels: Iterable[Mapping[str, Any]] | None,
+    units: Mapping[str, str] | None,
 ) -> Metadata:
     """Return the metadata of a campaign; the parameters are those of `CampaignStore.create`."""
     shown = Plan(tuple(plan.points if labels is None else labels), plan.seeds, plan.size)
@@ -43,7 +44,7 @@ def metadata_of(
             raise StoreError(
                 f"A {what} cannot be called {reserved!r}, because each campaign has a column of that name; use another name."
             )
-    return Metadata(description, shown, dict(signals), rows, times, metrics, names)
+    return Metadata(description, shown, dict(signals), rows, times, metrics, names, units=units or {})
 
 
 def make(path: Path, metadata: Metadata, time: Floats, fmus: Mapping[str, str | os.PathLike[str]]) -> None:

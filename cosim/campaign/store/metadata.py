@@ -53,6 +53,8 @@ class Metadata:
         Versions and machine at the beginning.
     resumed : tuple of mapping
         For each resumption in another environment: the environment, and the number of finished pieces.
+    units : mapping of str to str
+        The unit of each column of the table that has one; none in stores of early versions.
     """
 
     description: Mapping[str, Any]
@@ -64,6 +66,7 @@ class Metadata:
     fmus: Mapping[str, str]
     environment: Mapping[str, Any] = field(default_factory=environment)
     resumed: tuple[Mapping[str, Any], ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def latest(self) -> Mapping[str, Any]:
@@ -78,7 +81,7 @@ class Metadata:
     def identity(self) -> dict[str, Any]:
         """Return the JSON data that distinguish this campaign from others.
 
-        The size of the pieces and the texts of files are left out.
+        The size of the pieces, the units of columns and the texts of files are left out.
         """
         content = self._content()
         content["description"] = {name: part for name, part in content["description"].items() if name != FILES}
@@ -108,6 +111,7 @@ class Metadata:
             "version": VERSION,
             **self._content(),
             "piece": self.plan.size,
+            "units": dict(self.units),
             "environment": self.environment,
             "resumed": self.resumed,
         }
@@ -156,6 +160,7 @@ class Metadata:
                 dict(text["fmus"]),
                 dict(text["environment"]),
                 tuple(text["resumed"]),
+                dict(text.get("units", {})),
             )
         except OSError as error:
             raise StoreError(f"The campaign {folder} cannot be read: {error.strerror or error}.") from None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.campaign.designs.plan import FAILED, Piece, Plan
+from bayesftc.cosim.campaign.runs.columns import unit_attributes
 from bayesftc.cosim.campaign.store import parts as run_parts
 from bayesftc.cosim.campaign.store.chunks import Chunks
 from bayesftc.cosim.campaign.store.making import FMUS, digest_of
@@ -120,7 +121,10 @@ class StoredCampaign:
         status = np.full(self.plan.runs, PENDING, dtype=object)
         status[runs] = np.array(rows["status"].to_pylist(), dtype=object)
         columns = {**self._parts.runs, "status": status.astype(str)}
-        coordinates: dict[str, Any] = {name: ("run", column) for name, column in columns.items()}
+        units = self.metadata.units
+        coordinates: dict[str, Any] = {
+            n: ("run", column, unit_attributes(units.get(n))) for n, column in columns.items()
+        }
         if self._chunks is None:
             return xr.Dataset(coords=coordinates)
         from xarray.core.indexing import CopyOnWriteArray, LazilyIndexedArray
@@ -132,7 +136,7 @@ class StoredCampaign:
         for name, (shape, unit) in self.metadata.signals.items():
             lazy: Any = LazilyIndexedArray(StoredSignal(self._chunks, name, pieces, self.plan.runs, self._redo.read))
             axes = ("run", "time", *(f"{name}_{axis}" for axis in range(len(shape))))
-            signals[name] = xr.Variable(axes, CopyOnWriteArray(lazy), {"units": unit} if unit else None)
+            signals[name] = xr.Variable(axes, CopyOnWriteArray(lazy), unit_attributes(unit))
         coordinates["time"] = ("time", self.time, {"units": "s"})
         attributes = {"description": json.dumps(self.metadata.description, ensure_ascii=False)}
         return xr.Dataset(signals, coordinates, attributes)

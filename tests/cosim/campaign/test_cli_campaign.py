@@ -56,9 +56,11 @@ def test_from_file_to_report_and_replay(bayesftc_, file, tmp_path, same_bits):
     done = bayesftc_("campaign", file, "--jobs", 2)
     assert done.exit_code == 0, done.output
     assert "12 runs, in tracking" in done.stdout
+    assert re.search(r"faults\[0\].start +┃ controller.precision +┃ runs ┃ +rmse \(m/s\) ┃", done.stdout)
     assert "12 runs, all of them from earlier, in tracking" in bayesftc_("campaign", file).stdout
     numbers = json.loads(bayesftc_("campaign", file, "--json").stdout)
     assert (numbers["runs"], numbers["failed"], len(numbers["points"])) == (12, 0, 4)
+    assert numbers["units"] == {"rmse": "m/s"}
     # What is printed is what the same loops give in Python, one by one.
     campaign = load_campaign(file)
     errors = []

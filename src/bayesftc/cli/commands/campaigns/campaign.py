@@ -17,13 +17,14 @@ from bayesftc._interrupt import Interrupted
 from bayesftc.cli import output
 from bayesftc.cli.options import Json, Quiet
 from bayesftc.cosim.base.numbers import with_half
+from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.errors import ModelError
 
 if TYPE_CHECKING:
-    import pandas as pd
     from rich.table import Table
 
     from bayesftc.cosim.campaign.executors.base import Executor as Runner
+    from bayesftc.cosim.campaign.outcomes import CampaignResult
     from bayesftc.cosim.campaign.working import Progress
 
 POINTS = 40
@@ -60,7 +61,7 @@ def campaign(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run a campaign, or its missing runs, and print its figures."""
+    """Run a campaign, or its missing runs, and print the mean of each metric with its unit."""
     from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
     from bayesftc.scenario._unused import unused_of_campaign
     from bayesftc.scenario.campaigns import described, load_campaign
@@ -79,7 +80,7 @@ def campaign(
             folder, executor=chosen, progress=progress, retry_failed=retry_failed, description=described(file, loaded)
         )
     seconds = time.perf_counter() - began
-    numbers = _numbers(result.table, list(loaded.labels[0]), list(loaded.job.columns))
+    numbers = _numbers(result, list(loaded.labels[0]), list(loaded.job.columns))
     numbers |= {"store": str(folder), "seconds": seconds, "executor": result.metadata.get("executor")}
     if json:
         typer.echo(output.as_json(numbers))
@@ -127,13 +128,15 @@ def _executor(name: str | None, jobs: int | None, scheduler: str | None) -> Runn
     return None
 
 
-def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dict[str, Any]:
-    """Return what is printed: for each point its factors, and the mean of each metric with its confidence interval."""
+def _numbers(result: CampaignResult, factors: list[str], metrics: list[str]) -> dict[str, Any]:
+    """Return what is printed: units, and for each point its factors, and the mean of each metric with its confidence interval."""
     from bayesftc.cosim.campaign.runs.columns import OWN
     from bayesftc.cosim.statistics import summary
 
+    table = result.table
     # A factor with the name of a fixed column, such as seed, has the prefix "factor:" in the table.
     names = [name if name in table and name not in OWN else f"factor:{name}" for name in factors]
+    columns = dict(zip(factors, names, strict=True)) | {name: name for name in metrics}
     points: list[dict[str, Any]] = [
         {
             "point": int(rows["point"].iloc[0]),
@@ -155,6 +158,7 @@ def _numbers(table: pd.DataFrame, factors: list[str], metrics: list[str]) -> dic
         "runs": len(table),
         "failed": int((table["status"] == "failed").sum()),
         "points": points,
+        "units": {name: result.units[column] for name, column in columns.items() if column in result.units},
         "reasons": {str(reason): int(count) for reason, count in reasons.items()},
     }
 
@@ -170,7 +174,7 @@ def _print(numbers: Mapping[str, Any], before: int) -> None:
     if numbers["points"] and numbers["points"][0]["metrics"]:
         defined = _defined_metrics(numbers["points"])
         metrics = defined[:METRICS]
-        console.print(_table(numbers["points"], metrics))
+        console.print(_table(numbers["points"], metrics, numbers["units"]))
         hidden = [f"{len(numbers['points']) - POINTS} more points"] if len(numbers["points"]) > POINTS else []
         more = len(defined) - len(metrics)
         hidden += [f"{more} more metrics"] if more > 0 else []
@@ -197,15 +201,15 @@ def _defined_metrics(points: list[dict[str, Any]]) -> list[str]:
     return [name for name in names if defined(name)] or names
 
 
-def _table(points: list[dict[str, Any]], metrics: list[str]) -> Table:
+def _table(points: list[dict[str, Any]], metrics: list[str], units: Mapping[str, str]) -> Table:
     from rich.table import Table
 
     table = Table(title="Mean of each metric ± half of its 95 % confidence interval", title_justify="left")
     for name in points[0]["factors"]:
-        table.add_column(name, overflow="fold")
+        table.add_column(with_unit(name, units.get(name)), overflow="fold")
     table.add_column("runs", justify="right")
     for name in metrics:
-        table.add_column(name, justify="right", overflow="fold")
+        table.add_column(with_unit(name, units.get(name)), justify="right", overflow="fold")
     for point in points[:POINTS]:
         cells = [point["metrics"].get(name) for name in metrics]
         runs = f"{point['runs']}" + (f" ({point['failed']} failed)" if point["failed"] else "")
