@@ -39,7 +39,8 @@ def overall(contents: Contents) -> Table | None:
     if contents.others:
         note += f" Means over the combinations of {', '.join(contents.others)}; a single combination can differ."
     kind = "pairs of runs" if not apart else "runs, at least"
-    columns = [contents.compared, "combinations", kind, f"difference of {contents.metric}", "p"]
+    difference = f"difference of {contents.heading(contents.metric)}"
+    columns = [contents.heading(contents.compared), "combinations", kind, difference, "p"]
     return Table("Comparison", columns, rows, note)
 
 
@@ -63,7 +64,8 @@ def in_cells(contents: Contents) -> Table | None:
     note = f"{how}; ± is half of a single 95 % confidence interval, p is corrected for {len(frame)} tests (Holm)."
     note += f" Effect: {'mean over standard deviation of the differences' if paired else 'Cohen’s d'}."
     note += f" {len(frame) - ROWS} further rows are left out here." if len(frame) > ROWS else ""
-    columns = [*by, str(contents.compared), f"difference of {contents.metric}", "effect", "p"]
+    factors = map(contents.heading, (*by, str(contents.compared)))
+    columns = [*factors, f"difference of {contents.heading(str(contents.metric))}", "effect", "p"]
     return Table("Comparison in each combination", columns, rows, note)
 
 
@@ -72,34 +74,35 @@ def sentences(contents: Contents) -> list[str]:
     metric, factor = contents.metric, contents.compared
     if metric is None:
         return []
-    order = ranked(contents)
+    order, unit = ranked(contents), contents.behind(metric)
     (best, lowest), runs = order[0], sum(each.runs for _, each in order)
     if factor is None or len(order) < 2:
-        where = f" with {factor} = {text_of(best)}" if factor else ""
-        mean = mean_text(lowest, None, contents.positive(metric))
+        where = f" with {factor} = {text_of(best)}{contents.behind(factor)}" if factor else ""
+        mean = mean_text(lowest, None, contents.positive(metric)) + unit
         return [f"{metric} is {mean} on average over {runs} run{'s' if runs > 1 else ''}{where}."]
     every = len(contents.levels()) * (len(contents.levels()) - 1) // 2
     beside = [pair(contents, level, best, every) for level, _ in order[1:4]]
-    head = f"{metric} is lowest with {factor} = {text_of(best)}, {lowest.value:.4g} on average"
+    level = f"{factor} = {text_of(best)}{contents.behind(factor)}"
+    head = f"{metric} is lowest with {level}, {lowest.value:.4g}{unit} on average"
     if not beside[0].points:
         return [f"{head}. The levels have no point in common, so the effect of {factor} alone is not known."]
     if not beside[0].certain:
-        return [head + _undecided(beside[0]), *_cells(contents, beside[0])]
+        return [head + _undecided(beside[0], unit), *_cells(contents, beside[0])]
     sure = [each for each in beside if each.certain]
-    by = [f"by {with_half(each.difference.value, each.half)} with {text_of(each.first)}" for each in sure]
+    by = [f"by {with_half(each.difference.value, each.half)}{unit} with {text_of(each.first)}" for each in sure]
     more = by[0] if len(by) == 1 else f"{', '.join(by[:-1])} and {by[-1]}"
     return [f"{head}. It is higher {more}.", *_cells(contents, beside[0])]
 
 
-def _undecided(each: Pair) -> str:
+def _undecided(each: Pair, unit: str) -> str:
     value, half = each.difference.value, each.half
     if half != half:
-        return f". {text_of(each.first)} has {value:.3g} more, but with one seed this may be noise."
+        return f". {text_of(each.first)} has {value:.3g}{unit} more, but with one seed this may be noise."
     if value == 0.0 and half == 0.0:
         return f", the same as with {text_of(each.first)} in every run."
     return (
-        f", but not certainly: {text_of(each.first)} − {text_of(each.second)} is {value:.3g}, with a 95 % interval from "
-        f"{value - half:.3g} to {value + half:.3g}."
+        f", but not certainly: {text_of(each.first)} − {text_of(each.second)} is {value:.3g}{unit}, with a 95 % interval from "
+        f"{value - half:.3g}{unit} to {value + half:.3g}{unit}."
     )
 
 

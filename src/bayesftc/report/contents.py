@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.units import behind, with_unit
 from bayesftc.cosim.campaign.designs.plan import OK
 from bayesftc.cosim.campaign.runs.columns import factor_columns
 from bayesftc.cosim.campaign.store.reading import StoredCampaign
@@ -120,7 +121,15 @@ class Contents:
         if level is None or self.compared is None:
             return None
         number = _is_number(self.table[self.compared])
-        return f"{self.compared} = {level:.4g}" if number else str(level)
+        return f"{self.compared} = {level:.4g}{self.behind(self.compared)}" if number else str(level)
+
+    def heading(self, column: str) -> str:
+        """Return the name of a column of the table, with its unit."""
+        return with_unit(column, self.store.metadata.units.get(column))
+
+    def behind(self, column: str) -> str:
+        """Return the unit of a column as it stands behind a number."""
+        return behind(self.store.metadata.units.get(column))
 
     @property
     def undrawn(self) -> str:

@@ -52,8 +52,8 @@ def _maps(contents: Contents, metric: str, down: str, across: str) -> tuple[Figu
         axis.set_xticks(range(len(mean.columns)), [_short(v) for v in mean.columns])
         axis.set_yticks(range(len(mean.index)), [_short(v) for v in mean.index])
         axis.tick_params(length=0)
-        axis.set_xlabel(words(across))
-        axis.set_ylabel(words(down, 20) if i % columns == 0 else "")
+        axis.set_xlabel(words(contents.heading(across)))
+        axis.set_ylabel(words(contents.heading(down), 20) if i % columns == 0 else "")
         if level is not None:
             axis.set_title(words(contents.name(level)), color=INK, fontsize=9)
         for spine in axis.spines.values():
@@ -62,7 +62,7 @@ def _maps(contents: Contents, metric: str, down: str, across: str) -> tuple[Figu
     for axis in axes[len(levels) :]:
         axis.set_visible(False)
     bar = made.colorbar(image, ax=axes[: len(levels)], fraction=0.04, aspect=25, pad=0.01)
-    bar.set_label(words(metric, 24), color=INK, fontsize=9)
+    bar.set_label(words(contents.heading(metric), 24), color=INK, fontsize=9)
     bar.ax.tick_params(labelsize=8, colors=INK)
     bar.outline.set_visible(False)  # type: ignore[operator]
     rest = [name for name in contents.others if name not in {down, across}]
@@ -108,8 +108,8 @@ def _panels(contents: Contents, metric: str, names: list[str]) -> tuple[Figure, 
         else:
             _bars(axis, contents, metric, name)
             bars = True
-        axis.set_xlabel(words(name))
-        axis.set_ylabel(words(metric, 30) if i % columns == 0 else "")
+        axis.set_xlabel(words(contents.heading(name)))
+        axis.set_ylabel(words(contents.heading(metric), 30) if i % columns == 0 else "")
         widen(axis)
     for axis in axes[len(names) :]:
         axis.set_visible(False)

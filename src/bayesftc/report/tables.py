@@ -79,7 +79,8 @@ def design(contents: Contents) -> Table | None:
     for name in contents.factors:
         values = list(contents.table[name].drop_duplicates())
         shown = ", ".join(map(text_of, values[:8]))
-        rows.append([name, str(len(values)), shown + (f", … {text_of(values[-1])}" if len(values) > 8 else "")])
+        shown += f", … {text_of(values[-1])}" if len(values) > 8 else ""
+        rows.append([contents.heading(name), str(len(values)), shown])
     return Table("Factors", ["factor", "number", "values"], rows) if rows else None
 
 
@@ -111,7 +112,9 @@ def means(contents: Contents) -> Table | None:
         note += " Runs without a value, such as failed runs, are left out; n is the number of the others."
     note += f" {len(cells) - ROWS} further rows are left out here." if len(cells) > ROWS else ""
     note += f" {len(metrics) - METRICS} further metrics are in the store." if len(metrics) > METRICS else ""
-    return Table("Results", [*by, "runs", *(["failed"] if contents.failed else []), *shown], rows, note)
+    counts = ["runs", *(["failed"] if contents.failed else [])]
+    columns = [*map(contents.heading, by), *counts, *map(contents.heading, shown)]
+    return Table("Results", columns, rows, note)
 
 
 def worst(contents: Contents) -> Table | None:
@@ -141,7 +144,8 @@ def worst(contents: Contents) -> Table | None:
     if len(rows) > WORST:
         title += f", and the worst one of each {contents.compared}"
     note = "Failed runs have no value and are not listed." if contents.failed else ""
-    return Table(title, ["run", *contents.varied, contents.metric, "repeat with"], rows, note) if rows else None
+    columns = ["run", *map(contents.heading, (*contents.varied, contents.metric)), "repeat with"]
+    return Table(title, columns, rows, note) if rows else None
 
 
 def failures(contents: Contents) -> Table | None:

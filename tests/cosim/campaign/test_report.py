@@ -15,6 +15,7 @@ from bayesftc.cosim.base.numbers import with_half
 from bayesftc.cosim.campaign.designs.plan import FAILED, OK, Outcome, Plan
 from bayesftc.cosim.campaign.store.folder import CampaignStore
 from bayesftc.cosim.errors import StoreError
+from bayesftc.report import comparisons
 from bayesftc.report.bands import error_bands
 from bayesftc.report.contents import Contents
 from bayesftc.report.detection import alarm_table, reliability_figure, roc_figure
@@ -101,7 +102,7 @@ def read(text):
 def stored(tmp_path):
     """Return a function that writes a campaign with these points, seeds and numbers into a store."""
 
-    def stored(points, seeds, metrics, signals=None, *, said=LOOP, failed=(), size=7, pieces=None):
+    def stored(points, seeds, metrics, signals=None, *, said=LOOP, failed=(), size=7, pieces=None, units=None):
         own = (
             tuple(tuple(each) for each in seeds) if not isinstance(seeds, int) else (tuple(range(seeds)),) * len(points)
         )
@@ -109,7 +110,7 @@ def stored(tmp_path):
         values = {name: np.where(np.isin(np.arange(plan.runs), failed), np.nan, v) for name, v in metrics.items()}
         signals = signals or {}
         known = {name: (array.shape[2:], "m/s" if array.ndim == 2 else None) for name, array in signals.items()}
-        store = CampaignStore.create(tmp_path / "campaign", dict(said), plan, known, TIME, list(metrics), labels=None)
+        store = CampaignStore.create(tmp_path / "campaign", dict(said), plan, known, TIME, list(metrics), units=units)
         with store:
             for piece in plan.pieces[:pieces]:
                 rows = slice(piece.begin, piece.end)
@@ -513,6 +514,25 @@ def test_an_axis_of_a_metric_that_hardly_varies_has_short_labels_without_an_offs
     assert all(len(label.get_text()) <= 8 for label in axis.get_yticklabels())
     low, high = axis.get_ylim()
     assert high - low >= 2.8e-4
+
+
+def test_units_stand_in_headings_at_axes_and_behind_numbers(stored):
+    units = {"rmse": "m/s", "mass": "kg"}
+    store = precisions(stored, units=units)
+    page = read(report(store))
+    assert page.tables["Results"][0] == ["mass (kg)", "precision", "runs", "rmse (m/s)"]
+    assert page.tables["Comparison"][0][-2:] == ["difference of rmse (m/s)", "p"]
+    assert page.tables["The 5 runs with the largest rmse, and the worst one of each precision"][0][1:4] == [
+        *("mass (kg)", "precision", "rmse (m/s)")
+    ]
+    assert [row[0] for row in page.tables["Factors"][1:]] == ["mass (kg)", "precision"]
+    numbers = re.findall(r"[\d.]+( \S+)? (?:on average|with )", " ".join(comparisons.sentences(Contents(store))))
+    assert set(numbers) == {" m/s"}
+    (axis,) = over_grid(Contents(store))[0].axes
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("mass (kg)", "rmse (m/s)")
+    of_masses = Contents(store, compare="mass")
+    assert of_masses.name(80.0) == "mass = 80 kg"
+    assert "rmse is lowest with mass = 80 kg, " in " ".join(comparisons.sentences(of_masses))
 
 
 # What is claimed
