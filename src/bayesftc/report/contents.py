@@ -58,7 +58,8 @@ class Contents:
         self.metrics = list(store.metadata.metrics)
         if metric is not None and metric not in self.metrics:
             raise UnknownNameError(f"The campaign has no metric {metric!r}; {did_you_mean(metric, self.metrics)}")
-        self.metric = metric or next((m for m in self.metrics if self.table[m].notna().any()), None)
+        self.candidates = self.metrics if metric is None else [metric]
+        self.metric = next((m for m in self.candidates if self.table[m].notna().any()), None)
         if compare is not None and compare not in self.factors:
             raise UnknownNameError(f"The campaign has no factor {compare!r}; {did_you_mean(compare, self.factors)}")
         self.compared = compare or self._chosen()

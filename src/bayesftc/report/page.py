@@ -117,8 +117,8 @@ def _lead(contents: Contents) -> str:
 
 def _findings(contents: Contents) -> list[str]:
     """Return the findings in a sentence or two."""
-    if contents.metric is None and contents.metrics:
-        return [f"No run has a value of {', '.join(contents.metrics)}."]
+    if contents.metric is None and contents.candidates:
+        return [f"No run has a value of {', '.join(contents.candidates)}."]
     return comparisons.sentences(contents)
 
 

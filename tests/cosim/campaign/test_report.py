@@ -696,6 +696,9 @@ def test_a_metric_that_is_nan_here_and_there_or_everywhere(stored):
     assert "n = 2" in page.tables["Results"][1][-1]
     assert "delay is lowest" in page.words
     assert "No run has a value" not in page.words
+    page = read(report(store, metric="rmse"))
+    assert "No run has a value of rmse." in page.words
+    assert page.tables["Results"][0][-1] == "delay"
 
 
 @pytest.mark.slow
