@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.recordings.dates import are_dates
+from bayesftc.cosim.base.recordings.intervals import first_step, typical_interval, usual_step
 from bayesftc.cosim.base.recordings.local_dates import what_is_wrong
 from bayesftc.cosim.base.recordings.table_files import TIMES, find_times, times_in
 from bayesftc.cosim.base.timebase import rational_step
@@ -41,7 +42,7 @@ class Rows:
     step : Fraction
         Seconds between two steps.
     start : float
-        Time of the first row, in seconds.
+        Time of the first step, in seconds.
     at : ndarray, rows
         The step of each row; the first one is 0.
     time : str or None
@@ -106,8 +107,10 @@ def rows_at_steps(
             return Rows(rational_step(dt), 0.0, np.arange(len(table)), None)
         time = next(iter(unread), None)
     t = _times(table, time, "give dt= in seconds" if dt is None else "leave it out")
-    step, at = _evenly(t, time) if dt is None else _nearest(t, rational_step(dt))
-    return Rows(step, float(t[0]), at, time)
+    if dt is None:
+        step, at = _evenly(t, time)
+        return Rows(step, float(t[0]), at, time)
+    return Rows(*_nearest(t, rational_step(dt)), time)
 
 
 def _unread(table: pd.DataFrame, column: str) -> str | None:
@@ -148,26 +151,28 @@ def _evenly(t: Floats, time: str | None) -> tuple[Fraction, Steps]:
     if counts.min() < 1 or np.abs(steps - counts * step).max() > UNEVEN * step:
         raise StepSizeError(
             f"The times in {time!r} are not evenly spaced: steps are from {steps.min():g} to {steps.max():g} s. Give "
-            f"dt={usual:.4g}, the usual step in seconds: each row then belongs to the nearest step."
+            f"dt={float(usual_step(t)):.10g}, the usual step in seconds: each row then belongs to the nearest step."
         )
     _refuse_many(float(t[-1] - t[0]), step)
     return Fraction(f"{step:.6g}"), np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
-def _nearest(t: Floats, step: Fraction) -> tuple[Fraction, Steps]:
+def _nearest(t: Floats, step: Fraction) -> tuple[Fraction, float, Steps]:
+    """Return the step, the time of the first one, and the step of each row."""
     span, interval = float(t[-1] - t[0]), float(step)
     _refuse_many(span, interval)
     if span < interval:
         raise RecordingError(
             f"The recording of {span:g} s is shorter than a step of {interval:g} s. Give a smaller dt."
         )
-    at = np.asarray(np.rint((t - t[0]) / interval), dtype=np.int64)
+    start = first_step(t, float(t[0]), interval)
+    at = np.asarray(np.rint((t - start) / interval), dtype=np.int64)
     if (share := float(np.mean(np.diff(at) == 0))) > COLLIDING:
         warn_user(
             f"{share:.0%} of the rows are at the step of a later row, whose values count instead: dt is {interval:g} s, and the "
-            f"usual time between two rows is {float(np.median(np.diff(t))):.4g} s. Give a smaller dt."
+            f"usual time between two rows is {typical_interval(t):.4g} s. Give a smaller dt."
         )
-    return step, at
+    return step, start, at
 
 
 def _refuse_many(span: float, step: float) -> None:

@@ -19,7 +19,7 @@ from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.recordings.held import without_held
-from bayesftc.cosim.base.recordings.intervals import typical_interval
+from bayesftc.cosim.base.recordings.intervals import first_step, typical_interval, usual_step
 from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show, spoken
@@ -209,6 +209,10 @@ class Recording:
         What was subtracted from the samples of each sensor, and what they were divided by after that; empty if nothing was done.
     interval : tuple of float
         Seconds from one sample of each sensor to the next, if none is missing; empty if not known.
+    better : Fraction or None
+        Seconds between two steps with which fewer samples are left out, by their number; None if none are, or none is known.
+    left_out : int
+        Number of samples that are left out with `better`.
 
     Examples
     --------
@@ -235,6 +239,8 @@ class Recording:
     bias: tuple[float, ...] = ()
     gain: tuple[float, ...] = ()
     interval: tuple[float, ...] = ()
+    better: Fraction | None = None
+    left_out: int = 0
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
@@ -336,6 +342,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
             f"than one step of {show(step)} s. Give a smaller dt, about the interval of the fastest sensor."
         )
     _warn_of_a_late_sensor(sensors, start, end, origin)
+    times = [signal.corrected[0] for signal in sensors.values()]
+    first, start = start, first_step(max(times, key=len), start, float(step))
     steps = int(np.rint((end - start) / float(step))) + 1
     y, loss, replaced, interval = np.full((steps, len(sensors)), np.nan), [], [], []
     for i, signal in enumerate(sensors.values()):
@@ -358,6 +366,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         *((float(signal.resolution or 0.0) / abs(signal.gain), signal.unit) for signal in sensors.values()), strict=True
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
+    better, left_out = _better(times, first, replaced)
     return Recording(
         start,
         step,
@@ -373,7 +382,27 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         bias=tuple(float(signal.bias) for signal in sensors.values()),
         gain=tuple(float(signal.gain) for signal in sensors.values()),
         interval=tuple(interval),
+        better=better,
+        left_out=left_out,
     )
+
+
+def _better(times: Sequence[Floats], first: float, replaced: Sequence[int]) -> tuple[Fraction | None, int]:
+    """Return a step with which fewer samples are left out, and how many; the longest of the best ones."""
+    if not any(replaced):
+        return None, 0
+    fastest = min((t for t, count in zip(times, replaced, strict=True) if count), key=typical_interval)
+    usual = usual_step(fastest)
+    counted = {step: _left_out(times, first, step) for step in (usual, usual / 2)}
+    best = min(counted, key=lambda step: counted[step])
+    return (best, counted[best]) if counted[best] < sum(replaced) else (None, 0)
+
+
+def _left_out(times: Sequence[Floats], first: float, step: Fraction) -> int:
+    """Return how many samples are left out with a step, because a later one belongs to the same."""
+    start = first_step(max(times, key=len), first, float(step))
+    at = [steps[steps >= 0] for steps in (np.rint((time - start) / float(step)) for time in times)]
+    return sum(len(steps) - len(np.unique(steps)) for steps in at)
 
 
 def expected_loss(time: Floats, step: Fraction) -> float:

@@ -691,6 +691,17 @@ def test_the_interval_of_a_sensor_does_not_depend_on_the_step_or_on_what_is_miss
         assert align(signals, {}, dt).of_sensors([1]).interval == pytest.approx((600.0,), rel=1e-3)
 
 
+def test_a_better_step_is_counted():
+    """Two samples in each step of 10 s; time stamps jitter by a fifth of their interval, and some samples are lost."""
+    rng = np.random.default_rng(0)
+    times = 5.0 * np.arange(1000) + rng.uniform(-1, 1, 1000)
+    signals = {n: Signal(times, np.where(rng.random(1000) < 0.05, np.nan, 0.0), resolution=0.0) for n in "ab"}
+    found = align(signals, {}, 10)
+    assert sum(found.replaced) > 800
+    assert (found.better, found.left_out) == (5, 0)
+    assert align(signals, {}, 5).better is None
+
+
 def test_times_that_jitter_get_shorter_steps():
     even = Signal(np.arange(1000) / 30, np.zeros(1000), resolution=0.0)
     assert float(sample_time({"a": even})) == pytest.approx(1 / 30, rel=1e-4)

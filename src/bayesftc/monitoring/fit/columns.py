@@ -16,13 +16,12 @@ from bayesftc.controllers.models.checks import as_number
 from bayesftc.cosim.base.recordings.columns import column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import seconds_of, span_text
 from bayesftc.cosim.base.recordings.held import is_held
-from bayesftc.cosim.base.recordings.intervals import usual_intervals
+from bayesftc.cosim.base.recordings.intervals import usual_step
 from bayesftc.cosim.base.recordings.table_files import TIMES, time_column
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.errors import RecordingError, brief, did_you_mean
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.csv import Tables, file_of, in_order, warn_of_changes
-from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.fit.units import check_one_unit, in_unit
 from bayesftc.monitoring.recording import Recording, Signal, align
 
@@ -229,28 +228,7 @@ def _time_column(tables: Tables, file: Path, header: Sequence[str]) -> str:
 
 def sample_time(signals: Mapping[str, Signal]) -> Fraction:
     """Return the interval of the fastest signal, or a part of it if its times jitter, as a short number."""
-    times = min((np.asarray(s.time) for s in signals.values()), key=lambda t: float(np.median(np.diff(t))))
-    intervals, counts = usual_intervals(times)
-    interval = float(intervals.sum() / counts.sum())
-    if np.ptp(intervals / counts) < 0.5 * interval:
-        jitter = float(np.max(np.abs(intervals - counts * interval)))
-        return _short(interval, max(FIT.short * interval, jitter / counts.sum()), times)
-    parts = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
-    part = next((part for part in parts if _lost(times, part * interval) <= FIT.collide), parts[-1])
-    return _short(part * interval, FIT.short * part * interval)
-
-
-def _lost(times: Floats, step: float) -> float:
-    """Return the share of samples that belong to the same step as a later one."""
-    return float(np.mean(np.diff(np.rint((times - times[0]) / step)) == 0))
-
-
-def _short(value: float, within: float, times: Floats | None = None) -> Fraction:
-    """Return the shortest decimal number near a value, or one of more digits if the shortest loses more of the samples."""
-    every = [Fraction(f"{value:.{digits}e}") for digits in range(10)]
-    numbers = [number for number in every if abs(float(number) - value) < within] or every[-1:]
-    lost = [0.0 if times is None else _lost(times, float(number)) for number in numbers]
-    return next(n for n, share in zip(numbers, lost, strict=True) if share <= min(lost) + FIT.lost)
+    return usual_step(min((np.asarray(s.time) for s in signals.values()), key=lambda t: float(np.median(np.diff(t)))))
 
 
 def stretch_of(

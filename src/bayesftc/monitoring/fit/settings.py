@@ -31,13 +31,6 @@ class FitSettings:
         10.0, "multiple of its noise by which a sensor may differ from others that move less: biases wander"
     )
     far_quantile: float = chosen(0.9, "quantile of the level's distance from its median: the motion of the others")
-    collide: float = chosen(
-        0.1, "share of samples that may belong to the step of a later one: jittering times need short steps"
-    )
-    short: float = chosen(1e-4, "relative error of a sample time with few digits: one step in 10,000")
-    lost: float = chosen(
-        1e-3, "share of samples that a sample time with few digits may lose, beside those of a longer one"
-    )
     # Rounding errors.
     lasting: float = chosen(3.0, "steps from which on a rounding error is a lasting one: a shorter one is nearly white")
     # Codes of missing samples.

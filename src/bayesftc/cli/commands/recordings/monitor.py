@@ -310,10 +310,13 @@ def _gaps(recording: Recording) -> str:
     )
 
 
-def _shorter(recording: Recording) -> float:
-    """Return a step in which no sensor has several samples, or hardly ever: time stamps jitter, so it is half an interval."""
-    fastest = min(interval for interval, count in zip(recording.interval, recording.replaced, strict=True) if count)
-    return 0.5 * min(fastest, float(recording.dt))
+def _left_out(recording: Recording) -> str:
+    """Return what is left out, and the step with which fewer samples are, if there is one."""
+    text = "Left out: of several samples of a sensor in one step, only the last one is used."
+    if recording.better is None:
+        return text
+    how = f"{recording.left_out} are" if recording.left_out else "none is"
+    return f"{text} With dt = {float(recording.better):.10g} in the model file, {how} left out."
 
 
 def _sampling(rate: float) -> str:
@@ -352,10 +355,7 @@ def _print(
         )
     console.print(sensors)
     if any(recording.replaced):
-        say(
-            "Left out: if a sensor has several samples in one step, only the last one is used. "
-            f"Fewer are left out with dt = {_shorter(recording):.2g} in the model file."
-        )
+        say(_left_out(recording))
     if monitored.actuators:
         actuators = output.empty_table("mean probability", "alarms")
         for name, row in numbers["actuators"].items():
