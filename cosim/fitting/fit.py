@@ -235,6 +235,7 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         *sentences.offsets(samples.sensors, found.offsets, units),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
         *sentences.left_out(samples.sensors, found.weights, found.late, present, samples.time),
+        *sentences.held(samples.silences, found.weights, found.late, present, samples.time),
         *sentences.contradicted(samples.sensors, errors, found.weights, found.late, present, samples.time, units),
         *sentences.held_out_worse(rms, rest),
     ]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from bayesftc.cosim.base.recordings.rows import Steps, rows_at_steps
+from bayesftc.cosim.base.recordings.silences import Silence, silences
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.run.tables import named_columns, read_table
 from bayesftc.cosim.types import Floats
@@ -41,6 +42,8 @@ class Samples:
         Columns that are neither times nor named among the inputs and outputs.
     gaps : tuple of (int, int)
         The last step before each gap, in which there is no row, and the first one after it.
+    silences : tuple of Silence
+        Each input's column that has no sample for much longer than usual, although a sensor has.
     """
 
     step: Fraction
@@ -50,6 +53,7 @@ class Samples:
     y: Floats
     unused: tuple[str, ...] = ()
     gaps: tuple[tuple[int, int], ...] = ()
+    silences: tuple[Silence, ...] = ()
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -90,7 +94,9 @@ def sample(
     y = rows.placed(table[[c for columns in out.values() for c in columns]].to_numpy(dtype=np.float64))
     unused = tuple(str(column) for column in table.columns if column != rows.time and column not in named)
     held = {name: _held(values, into[name]) for name, values in given.items()}
-    return Samples(rows.step, rows.start, held, out, y, unused, _gaps(rows.at))
+    samples = Samples(rows.step, rows.start, held, out, y, unused, _gaps(rows.at))
+    columns = [(name, values[:, j]) for key, values in given.items() for j, name in enumerate(into[key])]
+    return replace(samples, silences=tuple(_silences(columns, y, samples.time)))
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
@@ -122,6 +128,15 @@ def _gaps(rows: Steps) -> tuple[tuple[int, int], ...]:
     intervals = np.diff(rows)
     usual = float(np.median(intervals)) if len(intervals) else 0.0
     return tuple((int(rows[k]), int(rows[k + 1])) for k in np.flatnonzero(intervals > LEAST_MISSING * max(usual, 1.0)))
+
+
+def _silences(columns: Sequence[tuple[str, Floats]], y: Floats, time: Floats) -> Iterator[Silence]:
+    """Give the silences of each column in which a sensor has a sample."""
+    sampled = time[np.isfinite(y).any(axis=1)]
+    for name, values in columns:
+        for each in silences(name, time[np.isfinite(values)], float(time[-1])):
+            if ((sampled > each.start) & (sampled < each.end)).any():
+                yield each
 
 
 def _held(values: Floats, names: Sequence[str]) -> Floats:

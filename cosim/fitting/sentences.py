@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.base.recordings.silences import Silence, held_notes
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.fitting.uncertainty import Combination
 from bayesftc.cosim.judging.metrics import periods
@@ -165,6 +166,12 @@ def left_out(
             + " A single sensor does not show whether it or the FMU is wrong: see the figure."
             * alone[i]
         )
+
+
+def held(found: Sequence[Silence], weights: Floats, late: Flags, present: Flags, time: Floats) -> Iterator[str]:
+    """Give a sentence for each input without samples in a time in which samples of a sensor are probably faulty."""
+    times = [time[out] for _, out, _ in _faulty(weights, late, present)]
+    return held_notes(found, lambda each: any(((t > each.start) & (t < each.end)).any() for t in times))
 
 
 def contradicted(

@@ -106,6 +106,26 @@ def test_the_table_has_the_interval_of_each_sensor_and_a_step_that_loses_no_samp
 
 
 @pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("fault", [25.0, 45.0])
+def test_an_input_without_samples_is_named_if_an_alarm_begins_then(tmp_path, fault):
+    """A level that a pump fills, which the log lacks from 20 to 35 s; sensor b has an offset for 5 s."""
+    rng, t = np.random.default_rng(0), 0.1 * np.arange(600)
+    pump = np.where((t >= 20) & (t < 35), np.nan, 0.2)
+    level = 5.0 + 0.02 * t
+    table = pd.DataFrame({"t": t, "pump": pump, **{name: level + 0.1 * rng.standard_normal(600) for name in "abc"}})
+    table.loc[(table.t >= fault) & (table.t < fault + 5), "b"] += 1.5
+    table.to_csv(tmp_path / "tank.csv", index=False)
+    text = MODEL.replace('"RandomWalk"\nstd = 0.1', '"Integrator"\nstd = 0.05') + "[inputs.pump]\ngain = 10.0\n"
+    (tmp_path / "tank.toml").write_text(text, encoding="utf-8")
+    done = RUNNER.invoke(app, ["monitor", str(tmp_path / "tank.csv"), "--model", str(tmp_path / "tank.toml")])
+    assert done.exit_code == 0, done.output
+    words = " ".join(done.output.split())
+    assert "Offset" in words
+    note = "The input pump has no sample from 19.9 to 35 s; its last value is held. What looks like a fault of a sensor"
+    assert (note in words) == (fault == 25.0)
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_faults_of_an_actuator_are_shown_beside_the_sensors(tmp_path):
     """A level that a pump fills: the pump gives .8 more from 20 to 35 s, sensor b 1.5 more from 45 to 52 s."""
     rng = np.random.default_rng(0)

@@ -21,6 +21,7 @@ from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.recordings.held import without_held
 from bayesftc.cosim.base.recordings.intervals import first_step, typical_interval, usual_step
 from bayesftc.cosim.base.recordings.order import without_repeats, wrong_order
+from bayesftc.cosim.base.recordings.silences import Silence, silences
 from bayesftc.cosim.base.recordings.turns import Turns
 from bayesftc.cosim.base.timebase import rational_step, show, spoken
 from bayesftc.cosim.base.warnings_shown import warn_user
@@ -213,6 +214,9 @@ class Recording:
         Seconds between two steps with which fewer samples are left out, by their number; None if none are, or none is known.
     left_out : int
         Number of samples that are left out with `better`.
+    silences : tuple of (str, float, float)
+        Each input that has no sample for much longer than usual, although a sensor has, and the times of its last sample before
+        and of the next one, in seconds.
 
     Examples
     --------
@@ -241,6 +245,7 @@ class Recording:
     interval: tuple[float, ...] = ()
     better: Fraction | None = None
     left_out: int = 0
+    silences: tuple[Silence, ...] = ()
 
     def __repr__(self) -> str:
         return short(self, start="s", dt="s")
@@ -367,6 +372,8 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
     better, left_out = _better(times, first, replaced)
+    silent = [each for name, signal in inputs.items() for each in silences(name, signal.corrected[0], end)]
+    sampled = start + np.flatnonzero(np.isfinite(y).any(axis=1)) * float(step)
     return Recording(
         start,
         step,
@@ -384,6 +391,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         interval=tuple(interval),
         better=better,
         left_out=left_out,
+        silences=tuple(each for each in silent if ((sampled > each.start) & (sampled < each.end)).any()),
     )
 
 

@@ -30,6 +30,7 @@ from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBes
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.cosim.base.recordings.dates import date_at, span_text
+from bayesftc.cosim.base.recordings.silences import held_notes
 from bayesftc.cosim.judging.metrics import without_nan
 from bayesftc.monitoring import (
     ActuatorEvent,
@@ -192,6 +193,12 @@ def monitor(
         change = "" if fitted is None else f" {_change(model)}"
         notes += [f"{sentence}{change}" for sentence in moved(loaded, monitored, both)]
     notes += [mismatch.sentence] if mismatch is not None and faults else []
+    alarms: list[FaultEvent | ActuatorEvent | Disagreement] = [*monitored.events, *monitored.actuator_events, *open_]
+    notes += held_notes(
+        samples.silences,
+        lambda silence: any(silence.start <= each.start <= silence.end for each in alarms),
+        samples.origin,
+    )
     more = turns_note(loaded, samples, model) if fitted is None else fitted.notes
     numbers["notes"] = [*notes, *more]
     if out is not None:
