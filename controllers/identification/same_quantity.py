@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.fitting.offsets import STEADY, levels_of_parts
 from bayesftc.cosim.run.tables import named_columns
 from bayesftc.cosim.statistics._whiteness import FEW
 from bayesftc.cosim.types import Floats
@@ -26,7 +27,7 @@ LEAST = 1e-3
 """Smallest variance of a sensor's noise, as a share of the largest one of its quantity; estimates of less are chance."""
 
 APART = 0.5
-"""Difference between the mean readings of sensors of one quantity, in standard deviations of their noise, that is reported."""
+"""Difference between the readings of sensors of one quantity, in standard deviations of their noise, that is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,20 +103,36 @@ class Quantities:
         return np.asarray(np.linalg.solve(whole, (K @ S)[:, self.of].T).T), whole
 
     def deviations(self, y: Floats, weights: Floats, noise: Floats) -> list[str]:
-        """Return sentences about sensors whose mean reading is not that of their quantity."""
-        off = y - self.fused(y, weights)[:, self.of]
-        shared = [i for places in self._groups() for i in places]
-        found = [(i, float(np.nanmean(off[:, i]))) for i in shared]
-        return [
-            f"{self.columns[i]}: reads {abs(mean):.3g} {'more' if mean > 0 else 'less'} than the mean of the sensors of "
-            f"{self.names[self.of[i]]}. Subtract that from the column, or name it as another quantity."
-            for i, mean in found
-            if abs(mean) > APART * noise[i] ** 0.5
-        ]
+        """Return sentences about sensors whose reading is not the common one of their quantity."""
+        found, off = [], y - self.fused(y, weights)[:, self.of]
+        for places in self._groups():
+            levels = levels_of_parts(off[:, places])
+            common = (
+                f"the {'mean' if len(places) == 2 else 'median'} of the sensors of {self.names[self.of[places[0]]]}"
+            )
+            for i, own in zip(places, levels.T, strict=True):
+                if len(own) and max(abs(np.mean(own)), abs(np.median(own))) > APART * noise[i] ** 0.5:
+                    found.append(f"{self.columns[i]}: {_deviation(own, common)}")
+        return found
 
     def _groups(self) -> list[list[int]]:
         every = (np.flatnonzero(self.of == q).tolist() for q in range(len(self.names)))
         return [places for places in every if len(places) > 1]
+
+
+def _deviation(levels: Floats, common: str) -> str:
+    """Return a sentence about what a sensor reads more than the common reading, in parts of the recording."""
+    level = float(np.median(levels))
+    if np.std(levels) < STEADY * abs(level):
+        return (
+            f"reads {abs(level):.3g} {'more' if level > 0 else 'less'} than {common} (median over ten parts of the recording). "
+            "Subtract that from the column, or name it as another quantity."
+        )
+    return (
+        f"its difference from {common} changes: in ten parts of the recording it is from {levels.min():.3g} to "
+        f"{levels.max():.3g}. A sensor drifts, or has failed for a while, so do not subtract a constant. Empty its cells in this "
+        "time, identify another stretch, or name it as another quantity."
+    )
 
 
 def quantities_of(table: pd.DataFrame, outputs: str | Sequence[str] | Mapping[str, str | Sequence[str]]) -> Quantities:

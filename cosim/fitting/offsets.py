@@ -72,6 +72,16 @@ def std_of_common(offsets: Floats, output_of: np.ndarray[Any, np.dtype[np.int64]
     return np.array([std(np.abs(offsets[output_of == output])) for output in output_of])
 
 
+def levels_of_parts(residuals: Floats) -> Floats:
+    """Return what each sensor of an output reads more than their median in each of ten parts (parts x sensors).
+
+    Parts in which a sensor has no sample are left out.
+    """
+    parts = [part for part in np.array_split(residuals, PARTS) if np.isfinite(part).any(axis=0).all()]
+    medians = [np.nanmedian(part, axis=0) for part in parts]
+    return np.array([levels - np.median(levels) for levels in medians]).reshape(-1, residuals.shape[1])
+
+
 def _constant(differences: Floats) -> float:
     """Return the median of the levels of ten parts, without outliers; 0 if the others scatter too much for a constant."""
     there = differences[np.isfinite(differences)]

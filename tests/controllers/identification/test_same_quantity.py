@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -94,11 +96,49 @@ def test_columns_that_move_alike_are_pointed_out():
     assert "outputs={'quantity': ['a', 'b', 'c']}" in found.describe()
 
 
-def test_a_sensor_that_reads_more_is_named():
+def readings(table, outputs):
+    """Return the sentences on what sensors read beside the others of their quantity."""
+    with pytest.warns(PoorFitWarning):
+        found = LinearModel.identify(table, inputs="u", outputs=outputs)
+    return [sentence for sentence in found.poor if " of the sensors of level" in sentence]
+
+
+def test_what_a_sensor_reads_more_is_what_is_to_be_subtracted():
     table = record()
     table["b"] += 2.0
-    with pytest.warns(PoorFitWarning, match=r"b: reads 0\.\d+ more than the mean of the sensors of level\. Subtract"):
-        LinearModel.identify(table, inputs="u", outputs=OUTPUTS)
+    (named,) = readings(table, OUTPUTS)
+    more = re.match(r"b: reads (\S+) more than the median of the sensors of level .* Subtract that", named)
+    assert float(more[1]) == pytest.approx(2.0, abs=0.05)
+    table["b"] -= float(more[1])
+    found = LinearModel.identify(table, inputs="u", outputs=OUTPUTS)
+    assert not any("b: reads" in sentence for sentence in found.poor)
+
+
+def test_of_two_sensors_both_are_named_with_their_distances_from_the_mean():
+    table = record()
+    table["b"] += 2.0
+    named = readings(table, {"level": ["a", "b"]})
+    less, more = (
+        float(re.match(rf"{x}: reads (\S+) {way} than the mean of", sentence)[1])
+        for x, way, sentence in zip("ab", ("less", "more"), named, strict=True)
+    )
+    assert less + more == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("start", [0.1, 0.3, 0.5])
+def test_a_difference_that_changes_is_not_to_be_subtracted(start):
+    """Sensor b drifts in a third of the part for learning, from 1 to 9, and returns to 1."""
+    table = record()
+    rows = slice(int(start * len(table)), int((start + 0.25) * len(table)))
+    drift = np.ones(len(table))
+    drift[rows] = np.linspace(1.0, 9.0, rows.stop - rows.start)
+    table["b"] += drift
+    (named,) = readings(table, OUTPUTS)
+    least, largest = re.match(
+        r"b: its difference .* changes: .* is from (\S+) to (\S+)\. .*do not subtract", named
+    ).groups()
+    assert float(least) == pytest.approx(1.0, abs=0.2)
+    assert float(largest) > 5.0
 
 
 @pytest.mark.parametrize(
