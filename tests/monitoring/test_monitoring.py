@@ -56,6 +56,15 @@ def test_samples_go_to_the_nearest_step_and_nothing_is_interpolated():
     np.testing.assert_array_equal(recording.u, np.zeros((5, 1)))
 
 
+def test_a_dead_time_behind_an_input_is_a_negative_delay():
+    """A plant whose output is the valve's position 60 s before."""
+    t = 5.0 * np.arange(200)
+    valve, flow = (np.where(t >= start, 1.0, 0.0) for start in (300, 360))
+    recording = align({"flow": Signal(t, flow)}, {"valve": Signal(t, valve, delay=-60.0)}, 5)
+    known = np.isfinite(recording.u[:, 0])
+    np.testing.assert_array_equal(recording.u[known], recording.y[known])
+
+
 def test_inputs_hold_their_samples_and_are_averaged_up_to_the_next_step():
     times = np.arange(0.0, 1.0, 0.01) + 0.003
     values = np.random.default_rng(0).standard_normal(len(times))

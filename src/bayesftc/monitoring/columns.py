@@ -137,8 +137,10 @@ class Input(Column):
 
     Parameters
     ----------
-    file, column, time, bias, delay, invalid, gain
+    file, column, time, bias, invalid, gain
         See `Column`.
+    delay : float
+        Seconds by which its time stamps are late; a dead time of the plant behind this input is a negative delay: -60 for 60 s.
     smooth : float
         Seconds over which it is averaged.
     error_std : float
