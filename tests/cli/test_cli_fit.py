@@ -71,6 +71,26 @@ def test_an_undetermined_parameter_has_no_standard_error(bayesftc_, drive):
     assert "--input force" in done.stderr
 
 
+def test_values_that_stand_for_no_sample_do_not_count(bayesftc_, drive):
+    """The fit is that of empty cells, whether a value holds for one column or a text for all."""
+    table = pd.read_csv(drive)
+    arguments = ("fit", "CruiseControl", drive, *OPTIONS, "--json")
+    table.loc[40:60, "v1"] = np.nan
+    table.to_csv(drive, index=False)
+    expected = json.loads(bayesftc_(*arguments).stdout)
+    table.loc[40:60, "v1"] = 1372.0
+    table["v2"] = table["v2"].astype(object).where(table["v2"].notna(), " Bad Input")
+    table.to_csv(drive, index=False)
+    done = bayesftc_(*arguments, "--invalid", "v1=1372", "--invalid", "Bad Input")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["parameters"]["m"]["value"] == pytest.approx(expected["parameters"]["m"]["value"], rel=1e-9)
+    assert found["sensors"]["v1"] == expected["sensors"]["v1"]
+    done = bayesftc_(*arguments, "--invalid", "w1=1372")
+    assert done.exit_code != 0
+    assert "no column 'w1' for --invalid; known names: time, u, v1, v2" in " ".join(done.output.split())
+
+
 def test_the_option_for_uneven_times_is_named(bayesftc_, drive):
     table = pd.read_csv(drive)
     table.drop(table.index[3]).assign(time=lambda rows: rows["time"] + 0.03 * (rows.index % 2)).to_csv(drive)

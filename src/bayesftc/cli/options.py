@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -53,6 +53,23 @@ def check_numbers(*, duration: float | None = None, seed: int | None = None, pac
         check_seed(seed)
     if pace is not None:
         check_pace(pace)
+
+
+def as_invalid(given: Sequence[str]) -> dict[str, list[float | str]]:
+    """Return the values of the option --invalid by column: ``0`` or ``Bad Input`` holds for all, ``lidar=0`` for one."""
+    values: dict[str, list[float | str]] = {}
+    for text in given:
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        if not value:
+            raise typer.BadParameter(
+                f"{text!r} has no value. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
+                param_hint="--invalid",
+            )
+        try:
+            values.setdefault(name, []).append(float(value))
+        except ValueError:
+            values.setdefault(name, []).append(value)
+    return values
 
 
 @contextmanager

@@ -89,23 +89,6 @@ def as_moment(option: str, text: str | None) -> float | datetime | None:
     )
 
 
-def as_invalid(given: Sequence[str]) -> dict[str, list[float | str]]:
-    """Return the values of the option --invalid by column: ``0`` or ``Bad Input`` holds for all, ``lidar=0`` for one."""
-    values: dict[str, list[float | str]] = {}
-    for text in given:
-        name, _, value = (part.strip() for part in text.rpartition("="))
-        if not value:
-            raise typer.BadParameter(
-                f"{text!r} has no value. Write --invalid 0 for all columns, or --invalid lidar=0 for the column lidar.",
-                param_hint="--invalid",
-            )
-        try:
-            values.setdefault(name, []).append(float(value))
-        except ValueError:
-            values.setdefault(name, []).append(value)
-    return values
-
-
 def _check_invalid(invalid: Mapping[str, Sequence[float | str]], tables: Tables) -> None:
     """Refuse a column without a value in the option --invalid."""
     columns = [name for file in tables.files() for name in tables.numeric(file)]

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
 from bayesftc.cli import output
 from bayesftc.cli.commands.fmus.inspect import find_fmu
-from bayesftc.cli.options import Json, Quiet, by_options
+from bayesftc.cli.options import Json, Quiet, as_invalid, by_options
+from bayesftc.cosim.base.recordings.columns import column_called
+from bayesftc.cosim.base.recordings.table_files import read_table_file
+from bayesftc.cosim.errors import UnknownNameError, did_you_mean
 from bayesftc.cosim.judging.metrics import without_nan
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FITTED, FIGURE = "fit.json", "figure.png"
 
@@ -61,22 +68,34 @@ def fit(
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
+    *,
+    invalid: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--invalid",
+            metavar="VALUE",
+            help="A value or text that stands for no sample, in all inputs and outputs (0, or 'Bad Input') or in one column "
+            "(lidar=0); repeat it for more.",
+        ),
+    ] = None,
 ) -> None:
     """Fit parameters of an FMU to a recording, print them and write the files."""
     from bayesftc import cosim
 
     if out is not None:
         output.check_folder(out, (FITTED, FIGURE), silent=quiet or json)
+    read = _pairs("--input", inputs or (), "NAME=COLUMN", alone=True)
+    sensed = {
+        name: text.split(",") for name, text in _pairs("--output", outputs, "NAME=COLUMN,...", alone=True).items()
+    }
+    named = [*read.values(), *(column for columns in sensed.values() for column in columns)]
     with by_options(**OPTIONS):
         fitted = cosim.fit(
             find_fmu(fmu),
-            recording,
+            _without(as_invalid(invalid), recording, named) if invalid else recording,
             {name: _range(name, text) for name, text in _pairs("--parameter", parameters, "NAME=LOW:HIGH").items()},
-            inputs=_pairs("--input", inputs or (), "NAME=COLUMN", alone=True),
-            outputs={
-                name: text.split(",")
-                for name, text in _pairs("--output", outputs, "NAME=COLUMN,...", alone=True).items()
-            },
+            inputs=read,
+            outputs=sensed,
             time=time,
             dt=dt,
             held_out=held_out,
@@ -130,6 +149,31 @@ def summary(fitted: Any) -> dict[str, Any]:
             }
         )
     )
+
+
+def _without(invalid: Mapping[str, Sequence[float | str]], recording: Path, named: Sequence[str]) -> pd.DataFrame:
+    """Return the recording without values that stand for no sample: by column, and those of ``""`` in all named columns."""
+    import pandas as pd
+
+    table = read_table_file(recording)
+    columns = list(map(str, table.columns))
+    values: dict[str, list[float | str]] = {}
+    for name, given in invalid.items():
+        for each in [name] if name else named:
+            column = column_called(each, columns)
+            if column is not None:
+                values.setdefault(column, []).extend(given)
+            elif name:
+                raise UnknownNameError(
+                    f"The recording has no column {name!r} for --invalid; {did_you_mean(name, columns)}"
+                )
+    for column, absent in values.items():
+        cells = table[column]
+        if cells.dtype.kind not in "fiub":
+            with suppress(ValueError):  # of other texts, which the fit refuses
+                cells = pd.to_numeric(cells.mask(cells.astype(str).str.strip().isin(absent)))
+        table[column] = cells.mask(cells.isin(absent))
+    return table
 
 
 def _pairs(option: str, given: Sequence[str], form: str, *, alone: bool = False) -> dict[str, str]:

@@ -18,14 +18,13 @@ from bayesftc.cli.commands.recordings._monitor_fit import (
     MODEL,
     Fit,
     FittedFiles,
-    as_invalid,
     as_moment,
     fit_files,
     fitted_summary,
     print_fit,
     turns_note,
 )
-from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, check_numbers
+from bayesftc.cli.options import Json, LiveDuration, Quiet, RecordFolder, as_invalid, check_numbers
 from bayesftc.cli.page import HOST, PORT, Beside, Drops, Host, OpenPage, PageBeside, PagePort
 from bayesftc.controllers import ModelMismatchWarning
 from bayesftc.controllers.switching.default_time import time_at
