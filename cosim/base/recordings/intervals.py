@@ -87,7 +87,8 @@ def _turn(time: Floats, interval: float) -> float:
 def _interval(time: Floats) -> tuple[float, float]:
     """Return the typical interval, and its error; an interval over missing samples counts as several.
 
-    Pauses that are no multiple of the typical interval are left out. If intervals are too irregular, it is their median.
+    Pauses that are no multiple of the typical interval are left out. If intervals are too irregular, it is their mean, or of few
+    samples their median.
     """
     if len(time) < 2:
         return float("inf"), 0.0
@@ -97,7 +98,7 @@ def _interval(time: Floats) -> tuple[float, float]:
     if clock is None:
         near, counts = intervals < NEAR * median, _counts(intervals, median)
         if np.mean(np.abs(intervals - counts * median)[near] > UNCLEAR * median) > IRREGULAR:
-            return median, median / len(time)
+            return float(intervals[near].mean() if len(time) >= FIRST else median), 0.0
     else:
         counts = np.diff(clock)
         near = counts <= PAUSE
