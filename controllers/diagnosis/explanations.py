@@ -41,6 +41,8 @@ class Recording:
         Which samples are there if some sensors are slow; at least as long as the recording.
     late : tuple of int
         Samples by which each control acted after it was sent, to which delays of all sensors add; empty without a delay.
+    offsets : tuple of int
+        Sensors with an unknown constant offset.
     """
 
     y: Floats
@@ -49,6 +51,7 @@ class Recording:
     begins: tuple[int, ...] = (0,)
     presence: Presence | None = None
     late: tuple[int, ...] = ()
+    offsets: tuple[int, ...] = ()
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""
@@ -77,7 +80,8 @@ def innovations(
     -------
     list of ndarray
         For each model the innovations, sets x (H + errors) x T x m. The last ones are the changes of the first explanation's
-        innovations by an error of each state (except the constant) before each of the samples ``recording.begins``.
+        innovations by an error of each state (except the constant) before each of the samples ``recording.begins``, and by an
+        offset of each of the sensors ``recording.offsets``.
     ndarray, T x n
         Predictions of the state by the first model under the first explanation, on average over its sets.
     """
@@ -85,23 +89,30 @@ def innovations(
     filters: Sequence[Observers | SampleFilter] = banks if presence is None else presence.filters(banks)
     gains, whiten = (np.concatenate([getattr(s, name) for s in filters]) for name in ("gain", "whiten"))
     A, C = (np.repeat([model.matrix(name) for model in models], each, axis=0) for name in "AC")
-    unknown = n - models[0].constant
-    start = np.concatenate([np.broadcast_to(recording.mean, (given, n)), np.eye(unknown, n)]).T
+    unknown, offsets = n - models[0].constant, np.eye(recording.y.shape[1])[list(recording.offsets)].T
+    inputs = given + offsets.shape[1]
+    start = np.zeros((n, inputs + unknown))
+    start[:, :given], start[:unknown, inputs:] = recording.mean[:, np.newaxis], np.eye(unknown)
     samples, sensors = recording.y.shape
-    white = np.zeros((len(A), given + unknown * len(recording.begins), samples, sensors))
+    white = np.zeros((len(A), inputs + unknown * len(recording.begins), samples, sensors))
     predicted = np.zeros((each, samples, n))
     for i, (begin, end) in enumerate(zip(recording.begins, (*recording.begins[1:], samples), strict=True)):
         if (begin := max(begin, first)) >= end:
             continue
-        pushes = moved[:, :, begin:end].transpose(2, 0, 3, 1)
+        pushes = np.zeros((end - begin, len(models), n, inputs))
+        pushes[..., :given] = moved[:, :, begin:end].transpose(2, 0, 3, 1)
+        y = recording.y[begin:end, :, np.newaxis]
+        if inputs > given:
+            y = np.concatenate([np.repeat(y, given, axis=2), np.where(np.isfinite(y), offsets, np.nan)], axis=2)
         index = filters[0].index[begin:end] if isinstance(filters[0], SampleFilter) else None
-        e, z = _steps((A, C, gains), index, recording.y[begin:end], np.repeat(pushes, each, axis=1), start)
+        e, z = _steps((A, C, gains), index, y, np.repeat(pushes, each, axis=1), start)
         for of, its in zip(whiten, e, strict=True):
             np.matmul(of if index is None else of[index], its, out=its)
         whitened = e.transpose(0, 3, 1, 2)
         errors = given + unknown * i
         white[:, :given, begin:end] = whitened[:, :given]
-        white[:, errors : errors + unknown, begin:end] = whitened[:, given:]
+        white[:, errors : errors + unknown, begin:end] = whitened[:, inputs:]
+        white[:, len(white[0]) - inputs + given :, begin:end] = whitened[:, given:inputs]
         predicted[:, begin:end] = z[:each]
     return [white[i : i + each] for i in range(0, len(white), each)], predicted.mean(axis=0)
 
@@ -116,7 +127,8 @@ def _steps(
     """Return the innovations of N observers (N x T x m x columns), and the states that they predict in the first column.
 
     A, C and gain of the observers are given, or several gains, of which `index` has the number at each sample. Their states
-    begin in the columns of `start`. The first ones have the samples and `pushes` (T x N x n x H) as inputs, the others none.
+    begin in the columns of `start`. The first ones have the samples (T x m x 1, or x H) and `pushes` (T x N x n x H) as inputs,
+    the others none.
 
     A loop over all samples would take most of the time of a diagnosis. The samples are therefore cut into blocks, about as many
     as each has samples. All blocks run at once, from a guess (which keeps the rounding small) and from each unit vector. Their
@@ -130,13 +142,15 @@ def _steps(
     padding = ((0, size * blocks - samples),)
     if index is not None:
         index = np.pad(index, padding).reshape(blocks, size)
-    y = np.pad(y, (*padding, (0, 0)), constant_values=np.nan).reshape(blocks, size, m, 1)
-    present = np.isfinite(y)
+    y = np.pad(y, (*padding, (0, 0), (0, 0)), constant_values=np.nan).reshape(blocks, size, m, -1)
+    present = np.isfinite(y[..., :1])
     y = np.where(present, y, 0.0)
     pushes = np.pad(pushes, padding + ((0, 0),) * 3).reshape(blocks, size, N, n, given)
     guess = np.linalg.pinv(C) @ y[:, 0]
     guess[:, 0] = 0.0
-    z = np.concatenate([np.repeat(guess, given, axis=3), np.broadcast_to(np.eye(n), (N, blocks, n, n))], axis=3)
+    z = np.concatenate(
+        [np.broadcast_to(guess, (N, blocks, n, given)), np.broadcast_to(np.eye(n), (N, blocks, n, n))], axis=3
+    )
     e = np.empty((size, N, blocks, m, given + n))
     first = np.empty((size, N, blocks, n, 1 + n))
     with np.errstate(all="ignore"):  # a wrong explanation may diverge; it then explains nothing

@@ -58,6 +58,15 @@ def healthy_stretches(model: LinearModel, y: Floats) -> NDArray[np.bool_]:
     return healthy if healthy.mean() >= LEAST_SHARE else np.ones(len(y), dtype=bool)
 
 
+def shifted(model: LinearModel, y: Floats) -> tuple[int, ...]:
+    """Return the sensors with an unknown offset: for most of the run a pair differs by one that is not there at other times.
+
+    The samples at these other times do not count. Without them, the offset would look like a load.
+    """
+    pairs = [(i, j) for group in model.alike for i, j in combinations(group, 2) if _jumps(y[:, i] - y[:, j])]
+    return tuple(sorted({i for pair in pairs for i in pair}))
+
+
 def contradicted(model: LinearModel, y: Floats) -> tuple[int, ...]:
     """Return the sensors that at least two others of their quantity contradict for long, where these agree with each other.
 
@@ -95,6 +104,28 @@ def after_gaps(y: Floats) -> list[int]:
 def _apart(difference: Floats) -> NDArray[np.bool_]:
     """Return in which samples two sensors disagree: those of windows with an unusual mean or mean square."""
     flags = np.zeros(len(difference), dtype=bool)
+    windows, middle, spread = _windows(difference)
+    for start, window in windows:
+        far = _distance(window, middle, spread) > MEAN_APART
+        square = float((((window - middle) / spread) ** 2).mean())
+        flags[start : start + WINDOW] = far or not SPREAD_APART[0] < square < SPREAD_APART[1]
+    return flags
+
+
+def _jumps(difference: Floats) -> bool:
+    """Return whether the usual difference of two sensors is not zero, but that in a window is."""
+    windows, middle, spread = _windows(difference)
+    off = [_distance(window, 0.0, spread) <= MEAN_APART for _, window in windows]
+    return any(off) and abs(middle) * WINDOW**0.5 > MEAN_APART * spread
+
+
+def _distance(window: Floats, level: float, spread: float) -> float:
+    """Return the distance of a window's mean from a level, in standard errors."""
+    return float(abs(window.mean() - level) / spread * len(window) ** 0.5)
+
+
+def _windows(difference: Floats) -> tuple[list[tuple[int, Floats]], float, float]:
+    """Return the begins and samples of windows, and the usual mean and spread in one; no windows if they are too few."""
     windows = []
     for start in range(0, len(difference), WINDOW):
         window = difference[start : start + WINDOW]
@@ -102,13 +133,7 @@ def _apart(difference: Floats) -> NDArray[np.bool_]:
         if len(window) >= LEAST_IN_WINDOW:
             windows.append((start, window))
     if len(windows) < LEAST_WINDOWS:
-        return flags
+        return [], 0.0, 0.0
     middle = float(np.median([window.mean() for _, window in windows]))
     spread = float(np.median([window.std(ddof=1) for _, window in windows]))
-    if spread == 0.0:
-        return flags
-    for start, window in windows:
-        apart = (window - middle) / spread
-        far = abs(apart.mean()) * np.sqrt(len(apart)) > MEAN_APART
-        flags[start : start + WINDOW] = far or not SPREAD_APART[0] < float((apart**2).mean()) < SPREAD_APART[1]
-    return flags
+    return (windows if spread else []), middle, spread

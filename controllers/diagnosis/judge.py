@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
-from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, healthy_stretches
+from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, healthy_stretches, shifted
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,7 +113,9 @@ class Judge:
         return np.take(white[k], chosen, axis=2)[:, mask]
 
     def beginnings(self, white: Floats) -> list[Floats]:
-        """Return an orthonormal basis of the effects of unknown initial states on each set's innovations (scalars x basis).
+        """Return an orthonormal basis of the effects of what is unknown on each set's innovations (scalars x basis).
+
+        Unknown are initial states, and offsets of some sensors.
 
         The innovations are those of `innovations` for one explanation.
         """
@@ -125,7 +127,7 @@ class Judge:
         return bases
 
     def free(self, white: Floats, k: int, begin: list[Floats]) -> Floats:
-        """Return the part that does not depend on unknown initial states."""
+        """Return the part that does not depend on unknown initial states and offsets."""
         part = self.part(white, k)
         return part - (part @ begin[k]) @ begin[k].T
 
@@ -217,6 +219,7 @@ class Judge:
             mean=np.zeros_like(self.recording.mean),
             begins=(0,) if whole else self.recording.begins,
             presence=None if whole else self.recording.presence,
+            offsets=(),
         )
         pushed = np.flatnonzero(pushes.any(axis=(0, 2)))
         first = int(pushed.min(initial=len(self.moved))) if np.ndim(readings) == 0 and not readings else 0
@@ -260,4 +263,12 @@ def _agreeing(model: LinearModel, recording: Recording) -> Recording:
     healthy = healthy_stretches(model, recording.y)
     begins = [k for k in range(1, len(healthy)) if healthy[k] and not healthy[k - 1]]
     begins += [k for k in after_gaps(recording.y) if healthy[k - 1]]
-    return replace(recording, y=np.where(healthy[:, None], recording.y, np.nan), begins=(0, *sorted(set(begins))))
+    return replace(
+        recording,
+        y=np.where(healthy[:, None], recording.y, np.nan),
+        begins=(
+            0,
+            *sorted({*begins, *recording.begins[1:]}),
+        ),  # of a recording without such stretches, its own ones remain
+        offsets=recording.offsets if healthy.all() else shifted(model, recording.y),
+    )

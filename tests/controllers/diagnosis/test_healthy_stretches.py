@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import LinearModel
-from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, contradicted
+from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, contradicted, healthy_stretches, shifted
 
 
 def samples(sensors, faulty, size=1.0):
@@ -47,3 +47,16 @@ def test_the_state_is_unknown_after_long_gaps_only():
     y[310:600, 2] = np.nan
     y[590, 2] = 0.0
     assert after_gaps(y) == [150, 590]
+
+
+@pytest.mark.parametrize(
+    ("offset", "since", "expected"),
+    [(1.0, 100, (0, 1)), (1.0, 0, ()), (0.0, 100, ()), (1.0, 300, ())],
+    ids=["a jump early", "always off", "healthy", "a jump late"],
+)
+def test_sensors_that_differ_for_most_of_the_run_but_not_always_have_an_unknown_offset(offset, since, expected):
+    """After a late jump the samples that count are those before it, in which the sensors agree."""
+    model, y = samples(2, [])
+    y[since:, 1] += offset
+    assert shifted(model, y) == expected
+    assert healthy_stretches(model, y).mean() > 0.5

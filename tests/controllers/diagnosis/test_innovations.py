@@ -69,3 +69,23 @@ def test_a_column_is_the_response_to_an_error_of_a_state_where_it_begins():
         assert not white[0, 1 + i, 25:].any()
         assert np.allclose(white[0, 3 + i, 25:], change[25:], atol=1e-12)
         assert not white[0, 3 + i, :25].any()
+
+
+def test_a_column_is_the_response_to_an_offset_of_a_sensor():
+    rng = np.random.default_rng(4)
+    model = controllers.LinearModel(
+        [[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2)[[0, 0, 1]], 1e-3, 0.01, dt="0.1"
+    )
+    bank = observers(model, ((0, 2), (1,)))
+    y = rng.standard_normal((40, 3))
+    y[10:13] = np.nan
+    y[rng.random(y.shape) < 0.1] = np.nan
+    recording = Recording(y, np.zeros((40, 1)), rng.standard_normal(2), (0, 13), offsets=(0, 2))
+    moved = rng.standard_normal((1, 2, 40, 2))
+    (white,), _ = innovations([model], [bank], recording, moved)
+    for k in range(2):
+        base = by_recursion(model, bank, k, recording, moved[0, 0])[0]
+        assert np.allclose(white[k, 0], base, atol=1e-12)
+        for column, offset in zip(white[k, -2:], np.eye(3)[[0, 2]], strict=True):
+            off = Recording(y + offset, recording.u, recording.mean, recording.begins)
+            assert np.allclose(column, by_recursion(model, bank, k, off, moved[0, 0])[0] - base, atol=1e-12)

@@ -71,6 +71,29 @@ def test_loads_are_said_to_act_where_no_control_does(leaking, loads):
     assert ("disturbance in design" in finding.sentence) == (not leaking)
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("jumping", [0, 1, None])
+@pytest.mark.parametrize("begin", [600, 900], ids=["load", "no load"])
+def test_a_jump_of_one_of_two_sensors_is_no_load(begin, jumping):
+    """For most of the run the sensors of a tank differ by the jump; the other tank has a single sensor, and later a load."""
+    A, B = np.array([[0.95, 0.05], [0.05, 0.93]]), np.array([[0.1], [0.0]])
+    model = controllers.LinearModel(A, B, np.eye(2)[[0, 0, 1]], 1e-6, 1e-4, dt=0.1)
+    rng, x, u = np.random.default_rng(3), np.zeros((900, 2)), np.where(np.arange(900) % 120 < 60, 0.5, -0.5)
+    for k in range(899):
+        x[k + 1] = A @ x[k] + B[:, 0] * u[k] + 1e-3 * rng.standard_normal(2)
+        x[k + 1, 1] += 0.08 * (k >= begin)
+    y = x[:, [0, 0, 1]] + 0.01 * rng.standard_normal((900, 3))
+    if jumping is not None:
+        y[300:, jumping] += 0.3
+    finding = controllers.diagnose_recording(model, y, u[:, np.newaxis])
+    if begin == 900:
+        assert finding is None
+    else:
+        assert finding.kind == "onset"
+        assert finding.values[:2] == pytest.approx((60.0, np.inf), abs=0.3)
+        assert "where no control does" in finding.sentence
+
+
 def test_the_sentence_has_the_times_and_sizes_of_both():
     words = sentence("onset", (30.0, 33.0, 2.0, 50.0, float("inf"), -3.0), PLAIN, control_units=("N",))
     assert (
