@@ -12,7 +12,7 @@ one of -3 some time later look like a single one from the begin of the first to 
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TYPE_CHECKING
@@ -69,14 +69,15 @@ def changes(judge: Judge, others: Sequence[Explanation] = ()) -> list[Explanatio
     for kind in ("onset", "loss"):
         if (best := coarse.best(kind)) is None:
             continue
-        acting = coarse.best(kind, coarse.along) if best.columns == coarse.states else None
+        elsewhere = kind == "onset" and best.columns != coarse.along
+        acting = coarse.best(kind, coarse.along) if elsewhere else None
         one = _placed(judge, kind, best, acting, width)
         if kind == "onset" or abs(one.values[2] - 1.0) >= LEAST_LOSS:
             results.append(one)
         if kind == "onset" and one.total > EVIDENCE and not any(_explains(x) and x.total > one.total for x in others):
             among = {*regular[::2], *likely}
-            if (pair := coarse.best_two(best.columns, among)) is not None:
-                acting = coarse.best_two(coarse.along, among) if best.columns == coarse.states else None
+            if (pair := coarse.best_two(coarse.columns[kind][1:] if elsewhere else [coarse.along], among)) is not None:
+                acting = coarse.best_two([coarse.along], among) if elsewhere else None
                 two = _placed(judge, kind, pair, acting, 2 * width)
                 results += [two] * _pays(two, one)
     lost = any(x.kind == "loss" and x.total > EVIDENCE for x in results)
@@ -113,7 +114,8 @@ def _likely(judge: Judge) -> list[int]:
     all instants would be near the largest load.
     """
     steps = len(judge.recording.u)
-    loads = judge.lasting[:, : judge.model.controls]
+    p = judge.model.controls
+    loads = np.delete(judge.lasting, range(p, p + judge.model.plant_states), axis=1)  # of controls and of the model
     sets = []
     for k, chosen in enumerate(judge.bank.sensors):
         e = np.zeros((steps, len(chosen)))
@@ -180,19 +182,20 @@ class _Found:
 
 
 class _Pushes:
-    """The normal equations of pushes from each of some instants to the end: along B, along each state, and of each control.
+    """The normal equations of pushes from each of some instants to the end.
 
-    Of `columns`, if they are given, and of those along B.
+    They act along B, along each state, as each lagged load of the model, and as each control: of `columns`, if they are given, and
+    along B.
     """
 
     def __init__(self, judge: Judge, instants: Sequence[int], columns: Sequence[int] | None = None):
-        p, plant = judge.model.controls, judge.model.plant_states
+        p, first = judge.model.controls, len(judge.constant)
         self.judge, self.instants = judge, list(instants)
-        along, states, controls = np.split(np.arange(2 * p + plant), [p, p + plant])
-        self.kept = np.unique([*along, *(range(2 * p + plant) if columns is None else columns)])
+        along, states, loads, controls = np.split(np.arange(first + p), [p, p + judge.model.plant_states, first])
+        self.kept = np.unique([*along, *(range(first + p) if columns is None else columns)])
         self.along, self.states = tuple(map(int, along)), tuple(map(int, states))
         self.columns: dict[str, list[tuple[int, ...]]] = {
-            "onset": [self.along, self.states],
+            "onset": [self.along, self.states, *((int(i),) for i in loads)],
             "loss": [(int(j),) for j in controls],
             "stuck": [(int(j), i) for i, j in enumerate(controls)],  # without its effect, but with a constant one
         }
@@ -210,7 +213,7 @@ class _Pushes:
             return each.reshape(len(each), len(self.instants), -1, *each.shape[2:])
 
         responses = np.zeros((len(judge.bank), len(self.instants), len(self.kept), *judge.recording.y.shape))
-        first = len(self.along) + len(self.states)
+        first = len(judge.constant)
         constant, controls = self.kept[self.kept < first], self.kept[self.kept >= first] - first
         if len(controls):
             pushes = u.T[:, :, np.newaxis] * B[:, np.newaxis]
@@ -240,8 +243,8 @@ class _Pushes:
         ]
         return self._cheapest(found)
 
-    def best_two(self, columns: tuple[int, ...], among: Container[int]) -> _Found | None:
-        """Return the two loads with the most evidence, one after the other, between some of the instants.
+    def best_two(self, groups: Iterable[tuple[int, ...]], among: Container[int]) -> _Found | None:
+        """Return the two loads with the most evidence, of one group of columns, one after the other, between some instants.
 
         The second one may last to the end.
         """
@@ -255,8 +258,8 @@ class _Pushes:
                 if j < len(places)
             ]
             ends = [x for x in ends if self._in_order(x)]
-            if ends and (push := self._best(np.array(ends), columns)) is not None:
-                found.append(push)
+            pushes = [self._best(np.array(ends), columns) for columns in groups if ends]
+            found += [push for push in pushes if push is not None]
         return self._cheapest(found)
 
     def moved(self, two: _Found, grids: Sequence[NDArray[np.intp]]) -> _Found:
@@ -366,13 +369,16 @@ def _explained(judge: Judge, kind: str, found: _Found) -> Explanation:
     if kind == "onset":
         values = tuple(x for h, load in enumerate(found.loads) for x in (*times[2 * h : 2 * h + 2], *map(float, load)))
     else:
-        control = found.columns[0] - judge.model.controls - judge.model.plant_states
+        control = found.columns[0] - len(judge.constant)
         effect = 1.0 + float(found.sizes[0, 0])
         values = *times, effect, float(control)
         if kind == "stuck":  # with what is left of its effect, at its mean
             sent = judge.recording.u[found.instants[0] : (*found.instants, None)[1], control]
             kind, values = "loss", (*values, float(found.sizes[0, 1]) + effect * float(sent.mean()))
-    return judge.of(kind, [values], (found.losses[:, np.newaxis], found.squares[:, np.newaxis]), found.parameters)[0]
+    of_load = found.columns[0] - judge.model.controls - judge.model.plant_states
+    state = judge.lagged[of_load] if kind == "onset" and of_load >= 0 else None
+    costs = found.losses[:, np.newaxis], found.squares[:, np.newaxis]
+    return replace(judge.of(kind, [values], costs, found.parameters)[0], state=state)
 
 
 __all__ = ["changes"]

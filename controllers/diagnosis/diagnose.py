@@ -490,7 +490,7 @@ def _finding(
     if not result:
         return None
     best = result[0]
-    elsewhere = any(x.elsewhere for x in result if x.kind == "onset")
+    load = next((x for x in result if x.kind == "onset"), best)
     text = sentence(
         best.kind,
         best.values,
@@ -499,7 +499,8 @@ def _finding(
         inferred,
         *units,
         recorded=recorded,
-        elsewhere=elsewhere,
+        elsewhere=load.elsewhere,
+        state=load.state,
     )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))

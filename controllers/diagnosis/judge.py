@@ -10,6 +10,7 @@ import numpy as np
 
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
 from bayesftc.controllers.diagnosis.healthy_stretches import after_gaps, healthy_stretches, shifted
+from bayesftc.controllers.models.disturbances import lagged_loads
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,6 +60,8 @@ class Explanation:
         Number of fitted parameters.
     elsewhere : bool
         Of a load: whether there is evidence that it acts where no control does.
+    state : int or None
+        Of a load: the number of the state of the model that acts as it does, if there is one.
     """
 
     kind: str
@@ -68,6 +71,7 @@ class Explanation:
     square: tuple[float, ...]
     parameters: int
     elsewhere: bool = False
+    state: int | None = None
 
     @property
     def total(self) -> float:
@@ -195,9 +199,15 @@ class Judge:
 
     @property
     def constant(self) -> Floats:
-        """Constant pushes along each control and each state of the plant (H x T x n)."""
-        along = np.vstack([self.model.matrix("B").T, np.eye(self.model.states)[: self.model.plant_states]])
+        """Constant pushes along each control and each state of the plant, and by each lagged load of it (H x T x n)."""
+        pushed, lagged = np.eye(self.model.states)[: self.model.plant_states], list(self.lagged)
+        along = np.vstack([self.model.matrix("B").T, pushed, self.model.matrix("A").T[lagged] * (1.0 - pushed[lagged])])
         return np.repeat(along[:, np.newaxis], len(self.recording.u), axis=1)
+
+    @cached_property
+    def lagged(self) -> tuple[int, ...]:
+        """The states of the plant that are loads: lags of their own noise."""
+        return tuple(lagged_loads(self.model))
 
     @cached_property
     def lasting(self) -> Floats:

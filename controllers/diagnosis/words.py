@@ -86,19 +86,21 @@ def sentence(
     control_units: Sequence[str | None] = (),
     recorded: bool = False,
     elsewhere: bool = False,
+    state: int | None = None,
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
     each sensor, `control_units` of each control, if known. `recorded`: the controls are the recorded inputs of a monitor, which
-    may be measured ones. `elsewhere`: a load that begins acts where no control does.
+    may be measured ones. `elsewhere`: a load that begins acts where no control does, and as this `state` of the model, if it has
+    one for it.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "load": partial(_load, units=control_units),
         "loss": partial(_loss, units=control_units),
-        "onset": partial(_onset, units=control_units, elsewhere=elsewhere),
+        "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state),
         "noise": partial(_noise, units=control_units),
         **(OF_INPUTS if recorded else {}),
         "offset": partial(_offset, units=units, controlled=moved and not recorded),
@@ -395,10 +397,20 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     )
 
 
-def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], elsewhere: bool) -> str:
+def _onset(
+    values: Sequence[float], model: LinearModel, units: Sequence[str | None], elsewhere: bool, state: int | None
+) -> str:
     each = 2 + model.controls
     loads = [values[k : k + each] for k in range(0, len(values), each)]
     times = ", and another one ".join(map(since, loads))
+    if state is not None:
+        known = model.names.states[state] if model.names is not None else f"x[{state}]"
+        they, act, are, come = ("it", "acts", "is", "comes") if len(loads) == 1 else ("they", "act", "are", "come")
+        return (
+            f"{'a load acts' if len(loads) == 1 else 'one load acts'} {times}. {they.capitalize()} {act} as the state {known} of "
+            f"the model does, but {are} larger, or {come} faster, than the noise of {known} says. Give {known} more noise (noise "
+            "in design and in a scenario; of a LinearModel: process_covariance)."
+        )
     if elsewhere:
         ends = any(np.isfinite(load[1]) for load in loads)
         far = "If the plant is far from its operating point meanwhile, its nonlinearity may look the same. " * ends
@@ -406,9 +418,9 @@ def _onset(values: Sequence[float], model: LinearModel, units: Sequence[str | No
         return (
             f"{acts}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
-            "them where they act (disturbance=True is for loads where a control acts): in the plant that you design for, put a "
-            "lag before the input there, or add such an input, and give it noise. Noise without a lag is not enough for a load "
-            "that stays. The guide 'How do I get rid of a steady error?' has an example."
+            "them where they act. disturbance=True is for loads where a control acts. For others, the plant that you design for "
+            "needs an input where the load acts, with a lag behind it and with noise. Noise without a lag is not enough for a "
+            "load that stays. The guide 'How do I get rid of a steady error?' has an example."
         )
     changes = ", and then ".join(f"of a change of {change(load[2:], model, units)}" for load in loads)
     return (

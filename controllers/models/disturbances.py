@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
 
+SHORTEST_LAG = 0.9
+"""Decay in a sample from which on a state counts as a lag: about 10 samples. A shorter one hardly differs from white noise."""
+
 
 def with_loads(model: LinearModel, covariance: Matrix, controls: Sequence[int] | None = None) -> LinearModel:
     """Return the model with an unknown load on each control, or on some; see `LinearModel.with_disturbance`."""
@@ -39,6 +42,16 @@ def loads_of(model: LinearModel) -> list[int]:
     first = model.states - model.disturbances
     moving = model.matrix("A")[:first, first : model.states - model.constant].any(axis=0)
     return [first + int(j) for j in np.flatnonzero(moving)]
+
+
+def lagged_loads(model: LinearModel) -> list[int]:
+    """Return the states of the plant that are loads: lagged noise that no sensor reads, and that nothing else moves."""
+    plant = model.plant_states
+    A, Q = model.matrix("A")[:plant, :plant], np.diag(model.matrix("process_covariance"))[:plant]
+    coupled = A - np.diag(np.diag(A))
+    other = coupled.any(axis=1) | model.effects[:plant].any(axis=1) | model.quantities[:, :plant].any(axis=0)
+    lags = (np.diag(A) > SHORTEST_LAG) & (np.diag(A) <= 1.0)
+    return [int(i) for i in np.flatnonzero(lags & (Q > 0.0) & coupled.any(axis=0) & ~other)]
 
 
 def has_loads(model: LinearModel) -> bool:

@@ -71,6 +71,32 @@ def test_loads_are_said_to_act_where_no_control_does(leaking, loads):
     assert ("disturbance in design" in finding.sentence) == (not leaking)
 
 
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("loads", [[(300, 900, 0.8)], [(200, 400, 0.8), (600, 800, -0.8)]], ids=["one", "two"])
+@pytest.mark.parametrize(("leaking", "std"), [(0, 1e-3), (1, 1e-3), (1, 1.0)], ids=["pumped tank", "other", "stated"])
+def test_a_load_that_the_model_has_is_said_to_need_more_noise(leaking, std, loads):
+    """The model of two coupled tanks has an inflow of the second one, as slow noise; the true one comes in a step."""
+    A, B = np.array([[0.95, 0.05, 0.0], [0.05, 0.93, 0.1], [0.0, 0.0, 0.999]]), np.array([[0.1], [0.0], [0.0]])
+    Q = np.diag([1e-6, 1e-6, std**2])
+    names = controllers.SignalNames(["pump"], ["h1", "h1", "h2", "h2"], ["h1", "h2", "inflow"])
+    model = controllers.LinearModel(A, B, np.eye(3)[[0, 0, 1, 1]], Q, 1e-4, dt=0.1, names=names)
+    rng, x, u = np.random.default_rng(3), np.zeros((900, 2)), np.where(np.arange(900) % 120 < 60, 0.5, -0.5)
+    load = sum(size * ((begin <= np.arange(900)) & (np.arange(900) < end)) for begin, end, size in loads)
+    for k in range(899):
+        x[k + 1] = A[:2, :2] @ x[k] + B[:2, 0] * u[k] + 0.1 * load[k] * np.eye(2)[leaking]
+        x[k + 1] += 1e-3 * rng.standard_normal(2)
+    y = x[:, [0, 0, 1, 1]] + 0.01 * rng.standard_normal((900, 4))
+    finding = controllers.diagnose_recording(model, y, u[:, np.newaxis])
+    if std == 1.0:
+        assert finding is None
+        return
+    assert (finding.kind, len(finding.values)) == ("onset", 3 * len(loads))
+    assert finding.values[0] == pytest.approx(0.1 * loads[0][0], abs=0.2)
+    assert ("as the state inflow of the model" in finding.sentence) == bool(leaking)
+    assert ("Give inflow more noise" in finding.sentence) == bool(leaking)
+    assert ("disturbance in design" in finding.sentence) == (not leaking)
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("jumping", [0, 1, None])
 @pytest.mark.parametrize("begin", [600, 900], ids=["load", "no load"])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bayesftc.controllers import FixedPrecision, LinearModel, StateEstimator, design
+from bayesftc.controllers.models.disturbances import lagged_loads
 from bayesftc.cosim.errors import ModelError
 
 A = np.array([[0.9, 0.1], [-0.05, 0.8]])
@@ -122,3 +123,24 @@ def test_a_load_of_true_needs_a_scale_and_no_covariance_is_true():
             changed(["point"]).with_disturbance(true)
         with pytest.raises(ModelError, match="disturbance=True takes the size"):
             design(changed(["point"]), goal=[0, 2], disturbance=true)
+
+
+@pytest.mark.parametrize(
+    ("change", "loads"),
+    [
+        ({}, [2]),
+        ({"decay": 0.5}, []),  # white noise, nearly
+        ({"noise": 0.0}, []),
+        ({"effect": 0.0}, []),
+        ({"moved": 0.1}, []),  # another tank
+        ({"control": 0.1}, []),
+        ({"read": 1.0}, []),
+    ],
+)
+def test_a_lagged_load_is_a_state_that_only_its_noise_moves(change, loads):
+    values = {"decay": 0.999, "noise": 0.1, "effect": 0.2, "moved": 0.0, "control": 0.0, "read": 0.0, **change}
+    A = np.array([[0.9, 0.1, 0.0], [0.05, 0.8, values["effect"]], [values["moved"], 0.0, values["decay"]]])
+    C = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, values["read"]]])
+    model = LinearModel(A, [[0.1], [0.0], [values["control"]]], C, np.diag([0.1, 0.1, values["noise"]]), 0.01, dt=0.1)
+    for each in (model, model.with_disturbance(0.1), model.with_delays(inputs=3)):
+        assert lagged_loads(each) == loads
