@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 EVIDENCE = 10.0
-"""Least log-likelihood ratio of an explanation to the unchanged model, by the sensors of every set, beyond its BIC.
+"""Least log-likelihood ratio of an explanation to the unchanged model, beyond its BIC: of all sets together without any one.
 
 This and the following were chosen on the seeds 1000 to 1023 of ``tests/controllers/diagnosis/wrong_models.py``. The rules for
 left-out stretches and for nearly equal explanations were changed after a look at the seeds 0 to 24, so that only the seeds from
@@ -80,11 +80,14 @@ class Explanation:
 
     @property
     def counts(self) -> bool:
-        """Whether the sensors of every set have enough evidence for it, and the error is large enough."""
+        """Whether the sensors of every set have enough evidence for it, and the error is large enough.
+
+        Each set has its share of `EVIDENCE` if all sets without any one of them are to have that much.
+        """
         off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
         # A model of other noise has another scale of its innovations, so that their squares may grow where the likelihood does.
         less = self.kind == "noise" or max(self.left) < 1 - RELEVANT.get(self.kind, 0.0)
-        return min(self.support) > EVIDENCE and less and off > CLOSE
+        return min(self.support) > EVIDENCE / max(1, len(self.support) - 1) and less and off > CLOSE
 
 
 class Judge:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
+from bayesftc.controllers.diagnosis.judge import Explanation
 from bayesftc.controllers.estimation.observers import observers
 
 L, R, W, C, V, CURRENT, VD, VQ = 2e-3, 0.08, 314.16, 1.1e-3, 700.0, 21.5, 325.0, -13.5
@@ -70,3 +71,19 @@ def test_a_mode_that_a_set_hardly_sees_gives_its_filter_no_endless_covariance(ro
     for covariance in bank.covariance:
         values = np.linalg.eigvalsh(covariance)
         assert 0.0 < values.min() < values.max() < 10.0 * alone
+
+
+@pytest.mark.parametrize(
+    ("support", "counts"),
+    [
+        ((11.0,), True),
+        ((9.0,), False),
+        ((1e4, 11.0), True),
+        ((1e4, 9.0), False),  # of two sets, the other one alone
+        ((1e4, 6.0, 6.0), True),  # of three, the other two
+        ((1e4, 30.0, 4.0), False),  # faults of two sensors leave the third set without evidence
+    ],
+)
+def test_the_evidence_for_an_error_of_the_model_must_not_be_that_of_one_set(support, counts):
+    few = (0.9,) * len(support)
+    assert Explanation("late", (0.1, 0.0), support, few, few, 1).counts == counts
