@@ -20,7 +20,7 @@ from bayesftc.cosim.fitting.fitted import FittedFMU
 from bayesftc.cosim.fitting.offsets import constant_offsets, std_of_common
 from bayesftc.cosim.fitting.recovery import recovering
 from bayesftc.cosim.fitting.samples import Columns, Samples, sample
-from bayesftc.cosim.fitting.search import Box, Problem
+from bayesftc.cosim.fitting.search import Box, Problem, without_slope
 from bayesftc.cosim.fitting.settings import FitSettings
 from bayesftc.cosim.fitting.simulator import Simulator
 from bayesftc.cosim.fitting.uncertainty import Combination, combinations, covariance, is_correlated
@@ -230,7 +230,9 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     found_sentences = [
         *sentences.not_followed(columns, samples.y - found.offsets, found.outputs[:, samples.output_of], present),
         *sentences.at_bounds(dict(zip(box.names, found.place.tolist(), strict=True)), values, margin),
-        *sentences.undetermined(profile, dict(zip(box.names, box.width.tolist(), strict=True))),
+        *sentences.undetermined(
+            profile, dict(zip(box.names, box.width.tolist(), strict=True)), _stepwise(problem, found)
+        ),
         *sentences.correlated(columns, correlated, white, std),
         *sentences.offsets(samples.sensors, found.offsets, units),
         *sentences.gaps(samples.sensors, samples.gaps, found.late, found.weights, present, samples.time),
@@ -262,6 +264,16 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
         fitted=found.outputs,
         split=split,
     )
+
+
+def _stepwise(problem: Problem, found: _Found) -> dict[str, int]:
+    """Return the parameters of which only a large change has an effect, and the number of values that the search has tried."""
+    steps = {}
+    for i in without_slope(found.jacobian):
+        *runs, here = problem.along(found.place, i)[1]
+        if any(isinstance(run, str) or (run != here).any() for run in runs):
+            steps[problem.box.names[i]] = len(runs)
+    return steps
 
 
 def _with_parameters(fmu: FMU, box: Box) -> FMU:

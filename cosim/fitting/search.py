@@ -210,7 +210,25 @@ class Problem:
         costs = [_cost(self.residuals(run), loss) for run in runs]
         best = np.argsort(costs, kind="stable")[: settings.starts]
         ends = [self.descend(place, loss, coarse=True) for place in places[best]]
-        return np.asarray(min(ends, key=lambda end: float(end.cost)).x)
+        end = min(ends, key=lambda end: float(end.cost))
+        place = np.asarray(end.x)
+        for i in without_slope(end.jac):
+            along, runs = self.along(place, i)
+            costs = [_cost(self.residuals(run), loss) for run in runs]
+            # The last one is the place itself, which stays if no other is better.
+            place = along[len(costs) - 1 - int(np.argmin(costs[::-1]))]
+        return place
+
+    def along(self, place: Floats, i: int) -> tuple[Floats, list[Floats | str]]:
+        """Return places that differ in parameter `i` only, over its range, and the place itself, with the outputs at each."""
+        places = np.tile(place, (self.settings.screened + 1, 1))
+        places[:-1, i] = np.linspace(0.0, 1.0, self.settings.screened)
+        return places, self.runs(places)
+
+
+def without_slope(jacobian: Floats) -> list[int]:
+    """Return the parameters that the FMU may round: a small change of one changes no output."""
+    return np.flatnonzero(~jacobian.any(axis=0)).tolist()
 
 
 def _cost(residuals: Floats, loss: Loss) -> float:

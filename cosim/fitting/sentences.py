@@ -51,8 +51,13 @@ def at_bounds(places: Mapping[str, float], parameters: Mapping[str, float], marg
             )
 
 
-def undetermined(profile: Sequence[Combination], widths: Mapping[str, float]) -> Iterator[str]:
-    """Give a sentence for each combination that the recording does not determine."""
+def undetermined(
+    profile: Sequence[Combination], widths: Mapping[str, float], stepwise: Mapping[str, int]
+) -> Iterator[str]:
+    """Give a sentence for each combination that the recording does not determine.
+
+    `stepwise` are the parameters of which a small change has no effect, but a large one has, with the number of values tried.
+    """
     for combination in profile:
         if combination.std <= UNKNOWN:
             continue
@@ -62,7 +67,13 @@ def undetermined(profile: Sequence[Combination], widths: Mapping[str, float]) ->
             if abs(share) > MATTERS
         ]
         names = [change.split(" by ")[0] for change in changes]
-        if len(names) == 1:
+        if len(names) == 1 and names[0] in stepwise:
+            yield (
+                f"{names[0]} has no standard error: a small change of it changes no output, but other values in its range do. "
+                f"The FMU may round it. Its value is the best of {stepwise[names[0]]} over its range, beside the other "
+                "parameters as they were. Their standard errors are for this value. Compare fits with several fixed values of it."
+            )
+        elif len(names) == 1:
             yield (
                 f"{names[0]} cannot be determined: the outputs hardly depend on it in its range. Fix it, or record a motion that "
                 "depends on it."

@@ -91,11 +91,13 @@ def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floa
     """
     _, sizes, axes = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[2]), full_matrices=False)
     least = LEAST * max(float(sizes[0]), np.finfo(float).tiny ** 0.25)
-    inverse = (axes.T / np.maximum(sizes, least) ** 2) @ axes
-    if not correlated or sizes[-1] <= least:  # the scores of a parameter without effect are 0, and would look certain
-        return np.asarray(inverse)
-    scores = np.einsum("kcp,kc->kp", jacobian, residuals) @ inverse
-    return long_run(scores)
+    known, unknown = axes[sizes > least], axes[sizes <= least]
+    inverse = (known.T / sizes[sizes > least] ** 2) @ known
+    # The scores of a direction without effect are 0, and would look certain.
+    rest = unknown.T @ unknown / least**2
+    if not correlated:
+        return np.asarray(inverse + rest)
+    return np.asarray(long_run(np.einsum("kcp,kc->kp", jacobian, residuals) @ inverse) + rest)
 
 
 def long_run(scores: Floats) -> Floats:

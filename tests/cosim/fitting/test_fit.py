@@ -155,6 +155,27 @@ def test_a_parameter_without_effect_cannot_be_determined():
     assert "(not determined)" in str(fitted)
 
 
+def test_a_parameter_that_the_fmu_rounds_gets_the_best_of_some_values(monkeypatch):
+    run, fitted = Simulator._run, None
+
+    def rounding(self, parameters, rows, stopped):
+        parameters = {"m": fitted.parameters["m"] if fitted else 0.0, **parameters}
+        return run(self, {**parameters, "m": 20.0 * round(parameters["m"] / 20.0)}, rows, stopped)
+
+    monkeypatch.setattr(Simulator, "_run", rounding)
+    car, settings = cosim.FMU(CAR, parameters={"b": 6.0}), cosim.FitSettings(screened=12, starts=1)
+    fitted = cosim.fit(
+        car, TABLE, {"v0": (-10, 10), "m": (92, 408)}, **NAMES, weigh=None, settings=settings
+    )  # 110 kg is 100 or 120
+    assert 90 < fitted.parameters["m"] < 130
+    (sentence,) = (s for s in fitted.sentences if s.startswith("m has no standard error"))
+    assert "The FMU may round it. Its value is the best of 12 over its range" in sentence
+    assert fitted.undetermined == ("m",)
+    alone = cosim.fit(replace(car, parameters=fitted.plant.parameters), TABLE, {"v0": (-10, 10)}, **NAMES, weigh=None)
+    assert fitted.parameters["v0"] == pytest.approx(alone.parameters["v0"], rel=1e-4)
+    assert fitted.std["v0"] == pytest.approx(alone.std["v0"], rel=0.05)
+
+
 def test_an_input_that_is_not_given_is_named_if_the_recording_has_it():
     table = TABLE[:60].rename(columns={"u": "force"})
     names = {"outputs": {"v": ["v0", "v1"]}, "weigh": None}

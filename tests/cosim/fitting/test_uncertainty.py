@@ -50,6 +50,17 @@ def test_a_parameter_without_effect_looks_uncertain():
     assert result[1, 1] > 1e10
 
 
+@pytest.mark.parametrize("correlated", [False, True])
+def test_a_parameter_without_effect_changes_no_other_standard_error(correlated):
+    rng = np.random.default_rng(5)
+    jacobian = rng.standard_normal((400, 2, 3)) + 1.0
+    residuals = lfilter([1.0], [1.0, -0.8], rng.standard_normal((400, 2)), axis=0)
+    jacobian[:, :, 1] = 0.0
+    result = covariance(jacobian, residuals, correlated=correlated)
+    alone = covariance(jacobian[:, :, [0, 2]], residuals, correlated=correlated)
+    np.testing.assert_allclose(result[np.ix_([0, 2], [0, 2])], alone, rtol=1e-6)
+
+
 def test_combinations_are_the_axes_of_the_covariance():
     axes = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
     found = combinations(("a", "b", "c"), axes @ np.diag([1.0, 9.0, 4.0]) @ axes.T)
