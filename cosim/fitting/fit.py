@@ -198,7 +198,7 @@ def _rounds(problem: Problem, samples: Samples, weigh: Weigh | None, known: Floa
         weighted = problem.weighted(weights[:rows], noise)
         before, end = place, weighted.descend(place, "linear")
         place, outputs = end.x, _run(problem, end.x, len(samples.y))
-        further = weighted.offsets(outputs[:rows])
+        further = weighted.offsets_at_same_times(outputs[:rows])
         settled = float(np.linalg.norm(end.jac @ (place - before))) < settings.settled
         if settled:
             break

@@ -119,6 +119,25 @@ class Problem:
             errors[sensors] = own - mean / (1.0 + signal)
         return errors
 
+    def offsets_at_same_times(self, outputs: Floats) -> Floats:
+        """Return the offsets with which sensors are judged: a common one, and what each reads more than the others.
+
+        `offsets` compares each sensor with the FMU instead. If it counts at other steps than the others, its offset contains the
+        error of the FMU at these steps, and it would look faulty.
+        """
+        apart, errors = np.zeros(len(self.output_of)), np.nan_to_num(self.y) - outputs[:, self.output_of]
+        for output in np.unique(self.output_of[np.isfinite(self.common)]):
+            sensors = self.output_of == output
+            weights, own = self.scale[:, sensors] ** 2, errors[:, sensors]
+            share = weights / np.maximum(weights.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+            # Least squares with an error of the FMU at each step that is free.
+            normal = np.diag(weights.sum(axis=0)) - share.T @ weights
+            apart[sensors] = np.linalg.pinv(normal) @ np.sum(
+                weights * (own - np.sum(share * own, axis=1, keepdims=True)), axis=0
+            )
+            apart[sensors] -= np.average(apart[sensors], weights=weights.sum(axis=0) + np.finfo(float).tiny)
+        return apart + replace(self, y=self.y - apart, free=False).offsets(outputs)
+
     def _scaled(self, outputs: Floats) -> Floats:
         return np.where(self.scale > 0, (np.nan_to_num(self.y) - outputs[:, self.output_of]) * self.scale, 0.0)
 

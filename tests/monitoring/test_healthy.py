@@ -83,3 +83,19 @@ def test_a_lasting_fault_has_no_weight_after_a_gap_either():
     weights = healthy(y, predicted, DT)
     assert weights[gap.stop :, 0].mean() < 0.1
     assert weights[gap.stop :, 1:].mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_three_sensors_that_agree_are_healthy_though_the_model_wanders_slowly(seed):
+    """The walk is far below the noise from step to step, as of a furnace: it is visible over long times alone."""
+    rng, rows, fault = np.random.default_rng(seed), 4000, slice(1000, 2000)
+    predicted = 10.0 * np.sin(0.005 * np.arange(rows))
+    error = lfilter([0.06], [1.0, -0.997], rng.standard_normal(rows))
+    y = (predicted + error)[:, None] + rng.standard_normal((rows, 3))
+    assert (healthy(y, predicted, DT) < 0.5).mean() < 0.01
+    for kind in ("offset", "frozen"):
+        faulty = y.copy()
+        faulty[fault, 0] = FAULTS[kind](y[fault, 0]) + (kind == "offset")
+        weights = healthy(faulty, predicted, DT)
+        assert weights[fault, 0].mean() < 0.1
+        assert weights[:, 1:].mean() > 0.95

@@ -13,6 +13,8 @@ from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.fit.fit import fit_model
+from bayesftc.monitoring.models import ConstantRate, RandomWalk
+from bayesftc.monitoring.precision import default_precision
 from bayesftc.monitoring.recording import Recording, expected_loss
 from bayesftc.monitoring.run import monitor_recording
 
@@ -25,6 +27,10 @@ error that wanders by one standard deviation are no fault."""
 
 LASTING = 100
 """Samples from which on an error of a sensor lasts: then it is at most as large as the noise. A larger one is a fault."""
+
+MOST = 3
+"""Least number of sensors of which most are right: what they have in common is then the error of the model. Of two sensors that
+drift apart, the model alone shows which one errs."""
 
 SPREAD = 0.6745
 """Median of the magnitude of a standard normal number."""
@@ -40,8 +46,10 @@ def healthy(y: Floats, predicted: Floats, dt: float) -> Floats:
 
     The state is the output: it changes as predicted, and by a random walk, the error of the model, which all sensors share. The
     size of the walk and the sensors' noise are estimated from the differences of the residuals, by medians, which faults in
-    fewer than half of the samples hardly move. Of two or more sensors, noise that is coloured or shared is estimated as by
-    `bayesftc monitor --fit`. From the onset of a fault up to its alarm, the probability is 0: the learner has noticed it late.
+    fewer than half of the samples hardly move. Three or more sensors are judged together, so that those that agree are
+    healthy, and the walk goes at least as far as what they have in common. Of two or more sensors, noise that is coloured or
+    shared is estimated as by `bayesftc monitor --fit`. From the onset of a fault up to its alarm, the probability is 0: the
+    learner has noticed it late.
 
     Parameters
     ----------
@@ -83,11 +91,12 @@ def _judged(y: Floats, predicted: Floats, dt: float) -> Floats:
         units=("",) * len(sensors),
     )
     walks, noises = zip(*map(_walk_and_noise, y.T, present, [predicted] * len(present), resolution), strict=True)
-    model = _model(recording, y - predicted[:, None], min(walks), np.array(noises))
+    model, joint = _model(recording, y - predicted[:, None], min(walks), np.array(noises))
     start = [predicted[0] + np.nanmedian((y - predicted[:, None])[:LAG]), *np.zeros(model.states - 1)]
     A, Q = model.matrix("A"), model.matrix("process_covariance")
     covariance = np.diag([max(noises), *(np.diag(Q) / (1.0 - np.diag(A) ** 2 + WANDER**4))[1:]])
-    monitored = monitor_recording(recording, model, initial_mean=tuple(start), initial_covariance=covariance)
+    learner = default_precision(recording.loss, resolution, joint=joint)
+    monitored = monitor_recording(recording, model, learner, initial_mean=tuple(start), initial_covariance=covariance)
     # A harmless burst of noise does not count, and an absurd sample is faulty, though it is no evidence for a mode.
     probability = np.minimum(monitored.mode_probability[:, :, 0], 1.0 - monitored.fault_probability)
     for event in monitored.events:
@@ -97,8 +106,11 @@ def _judged(y: Floats, predicted: Floats, dt: float) -> Floats:
     return probability
 
 
-def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats) -> LinearModel:
-    """Return the model of the output, with errors of the sensors if there are enough sensors to see them."""
+def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats) -> tuple[LinearModel, bool]:
+    """Return the model of the output, and whether sensors are judged together.
+
+    If there are enough sensors, it has their errors, and the walk of what their residuals have in common.
+    """
 
     def walking(variances: Floats) -> LinearModel:
         return LinearModel([[1.0]], [[1.0]], [[1.0]] * len(noises), walk, np.diag(variances), dt=recording.dt)
@@ -106,7 +118,10 @@ def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats)
     try:
         fitted = fit_model(replace(recording, y=residuals, resolution=(0.0,) * len(noises)))
     except RecordingError:  # a single sensor, or few samples: white noise
-        return walking(noises)
+        return walking(noises), False
+    joint = len(noises) >= MOST and fitted.joint
+    if joint and fitted.moves:
+        walk = max(walk, _per_step(fitted.plant, fitted.rate, float(recording.dt)))
     model = walking(np.square([sensor.std for sensor in fitted.sensors.values()]))
     lasting = LASTING * float(recording.dt)
     noise = {name: sensor.std**2 for name, sensor in fitted.sensors.items()}
@@ -117,7 +132,12 @@ def _model(recording: Recording, residuals: Floats, walk: float, noises: Floats)
         noise |= {name: noise[name] + std**2 for name in names}
         places = [recording.sensors.index(name) for name in names]
         model = model.with_sensor_errors(std, errors.time_constant, places, common=errors.common)
-    return model
+    return model, joint
+
+
+def _per_step(error: RandomWalk | ConstantRate, rate: float, dt: float) -> float:
+    """Return the variance of a random walk in a step that goes as far as the model's error, over `LAG` steps if it is smooth."""
+    return error.std**2 * dt if isinstance(error, RandomWalk) else (rate * dt) ** 2 * LAG
 
 
 def _walk_and_noise(samples: Floats, there: Indices, predicted: Floats, resolution: float) -> tuple[float, float]:

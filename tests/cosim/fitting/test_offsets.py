@@ -89,6 +89,19 @@ def test_residuals_are_those_of_the_covariance_of_noise_and_offsets(free):
     np.testing.assert_array_equal(replace(problem, common=np.full(3, nan)).residuals(zero), residuals)
 
 
+def test_offsets_are_those_of_the_sensors_at_the_same_times_and_not_of_the_fmu():
+    """The FMU errs by 3 where one of the sensors does not count: this is no offset of the others."""
+    error, weights, true = np.repeat([3.0, -1.0], [500, 1500]), np.ones((ROWS, 3)), np.array([0.0, 1.5, -0.7])
+    weights[:500, 1] = 0.0
+    y = noise(*true) + error[:, None]
+    y[:500, 1] += np.linspace(0.0, 20.0, 500)
+    problem = Problem(None, None, None, y, np.zeros(3, dtype=np.int64), np.sqrt(weights), np.ones(3), free=True)
+    found = problem.offsets_at_same_times(np.zeros((ROWS, 1)))
+    np.testing.assert_allclose(found - found[0], true, atol=0.15)
+    least_squares = problem.offsets(np.zeros((ROWS, 1)))
+    assert abs((least_squares - least_squares[0])[1] - true[1]) > 0.8
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.5, 1.0, 5.0])
 @pytest.mark.parametrize("faulty", [False, True])
