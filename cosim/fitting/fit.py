@@ -219,8 +219,8 @@ def _result(fmu: FMU, samples: Samples, problem: Problem, found: _Found) -> Fitt
     white = np.full(len(names), np.nan)
     profile: tuple[Combination, ...] = ()
     if free.any():
-        white[free] = np.sqrt(np.diag(covariance(jacobian, residuals, correlated=False)))
-        inside = covariance(jacobian, residuals, correlated=any(correlated))
+        white[free] = np.sqrt(np.diag(covariance(jacobian, residuals, samples.output_of, correlated=False)))
+        inside = covariance(jacobian, residuals, samples.output_of, correlated=any(correlated))
         spread[np.ix_(free, free)] = inside
         profile = combinations(tuple(names[free].tolist()), inside)
     std = np.sqrt(np.diag(spread))

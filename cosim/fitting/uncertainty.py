@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.fitting.coloured import white_scores
 from bayesftc.cosim.statistics._whiteness import FEW, whiteness
 from bayesftc.cosim.types import Floats
 
@@ -73,12 +75,14 @@ def is_correlated(residuals: Floats, white: float) -> list[bool]:
     return found
 
 
-def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floats:
+def covariance(
+    jacobian: Floats, residuals: Floats, output_of: np.ndarray[Any, np.dtype[np.int64]], *, correlated: bool
+) -> Floats:
     """Return the covariance of the parameters at the optimum.
 
     With independent residuals of variance 1 it is the inverse of the Gauss-Newton matrix. Otherwise it is the sandwich with the
     long-run covariance of the scores (Newey and West, Econometrica 55, 1987; the number of lags by Andrews, Econometrica 59,
-    1991). It holds for residuals that are correlated in time and between sensors.
+    1991), which `white_scores` has made nearly white. It holds for residuals that are correlated in time and between sensors.
 
     Parameters
     ----------
@@ -86,10 +90,12 @@ def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floa
         Derivatives of the weighted residuals.
     residuals : ndarray, rows x sensors
         The weighted residuals.
+    output_of : ndarray, sensors
+        The number of each sensor's output.
     correlated : bool
         Whether they are correlated.
     """
-    _, sizes, axes = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[2]), full_matrices=False)
+    basis, sizes, axes = np.linalg.svd(jacobian.reshape(-1, jacobian.shape[2]), full_matrices=False)
     least = LEAST * max(float(sizes[0]), np.finfo(float).tiny ** 0.25)
     known, unknown = axes[sizes > least], axes[sizes <= least]
     inverse = (known.T / sizes[sizes > least] ** 2) @ known
@@ -97,14 +103,17 @@ def covariance(jacobian: Floats, residuals: Floats, *, correlated: bool) -> Floa
     rest = unknown.T @ unknown / least**2
     if not correlated:
         return np.asarray(inverse + rest)
-    return np.asarray(long_run(np.einsum("kcp,kc->kp", jacobian, residuals) @ inverse) + rest)
+    basis = basis[:, sizes > least].reshape(*residuals.shape, -1)
+    outputs = [output_of == output for output in np.unique(output_of)]
+    scores = sum(white_scores(jacobian[:, of], residuals[:, of], basis[:, of]) for of in outputs)
+    return np.asarray(long_run(scores @ inverse) + rest)
 
 
 def long_run(scores: Floats) -> Floats:
     """Return the covariance of the sum of a series (rows x columns) that is correlated in time.
 
     Prewhitened by an autoregression of order one (Andrews and Monahan, Econometrica 60, 1992), without which the sum over lags
-    is too small for strongly correlated series.
+    is too small for strongly correlated series. It sees the first lag alone: not white noise beside a slow process.
     """
     r = np.clip(_autoregression(scores), -STRONGEST, STRONGEST)
     innovations = np.concatenate([scores[:1], scores[1:] - r * scores[:-1]])
