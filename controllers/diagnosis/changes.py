@@ -184,8 +184,8 @@ class _Found:
 class _Pushes:
     """The normal equations of pushes from each of some instants to the end.
 
-    They act along B, along each state, as each lagged load of the model, and as each control. Only `columns` are kept, if they are
-    given, and those along B.
+    They act along B, along each state, as each lagged load of the model, and as each control. If `columns` are given, only these
+    and those along B are kept.
     """
 
     def __init__(self, judge: Judge, instants: Sequence[int], columns: Sequence[int] | None = None):

@@ -153,9 +153,8 @@ def test_a_model_file_names_them_for_all_columns_or_for_one(tmp_path):
         assert np.abs(found.recording.y[np.isfinite(found.recording.y)] - 10.0).max() < 2.0
         assert not found.events
     assert not np.isnan(recording(tmp_path).recording.y).any()
-    for wrong in ("invalid = ['x']", "invalid = [nan]"):
-        with pytest.raises(cosim.errors.BayesFTCError, match=r"invalid|finite"):
-            recording(tmp_path, wrong)
+    with pytest.raises(cosim.errors.BayesFTCError, match="its values must be finite numbers"):
+        recording(tmp_path, "invalid = [nan]")
 
 
 def test_a_signal_leaves_them_out():

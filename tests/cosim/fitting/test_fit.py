@@ -92,8 +92,11 @@ def test_the_truth_is_within_two_standard_errors(kind, least):
 
 @pytest.mark.slow
 def test_the_truth_is_within_two_standard_errors_though_a_sensor_is_off():
-    """One of the sensors is off by a standard deviation of the noise, and one fails for a while."""
-    assert np.mean(np.abs(errors(faulty=True, offset=1.0, count=60)) < 2) >= 0.92  # of 180: 95.4 %, give or take 1.6 %
+    """One of the sensors is off by a standard deviation of the noise, and one fails for a while.
+
+    Which samples are faulty is found, too, which the standard errors take for known: a few percent are missing.
+    """
+    assert np.mean(np.abs(errors(faulty=True, offset=1.0, count=60)) < 2) >= 0.90  # of 180: 95.4 %, give or take 1.6 %
 
 
 @pytest.mark.slow
