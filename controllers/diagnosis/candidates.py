@@ -358,11 +358,11 @@ def _pushed(judge: Judge) -> list[Explanation]:
     """Judge the explanations by pushes of the state: another gain, a load, other dynamics."""
     model, u = judge.model, judge.recording.u
     B, plant = model.matrix("B"), model.states - model.disturbances
-    linear, bent = _features(judge)
+    linear, curved = _features(judge)
     directions = np.eye(model.states)[:plant]
     p, each, first = len(B.T), plant, len(linear) * plant
     pushes = [u[:, j, None] * B[:, j] for j in range(p)] + [np.outer(np.ones(len(u)), b) for b in B.T]
-    responses = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + bent for d in directions]))
+    responses = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + curved for d in directions]))
     results = []
     for j in range(p):
         fit = judge.fitted("gain", responses[:, j : j + 1])
@@ -377,11 +377,12 @@ def _pushed(judge: Judge) -> list[Explanation]:
         for last in (first - plant, others.shape[1]):
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     results.append(judge.fitted("dynamics", responses[:, :first]))
-    for i in range(first, responses.shape[1], each):
-        results.append(judge.fitted("nonlinear", responses[:, i : i + each]))
-    results.append(judge.fitted("nonlinear", responses[:, first:]))
-    results.append(judge.fitted("nonlinear", responses))
-    return results
+    terms = [judge.fitted("nonlinear", responses[:, i : i + each]) for i in range(first, responses.shape[1], each)]
+    bent = [*terms, judge.fitted("nonlinear", responses[:, first:]), judge.fitted("nonlinear", responses)]
+    # One linear term has as few numbers as a nonlinear one. Near one state they explain the same: then the nonlinear one counts.
+    clear = max(x.total for x in bent) + NEARLY
+    alone = [judge.fitted("dynamics", responses[:, i : i + each]) for i in range(each, first, each)]
+    return [*results, *bent, *(x for x in alone if x.total > clear)]
 
 
 def _features(judge: Judge) -> tuple[list[Floats], list[Floats]]:

@@ -357,7 +357,8 @@ def _without_blamed(
         if trusted is not None and left is None:
             together = int(blamed[:, named].sum(axis=1).max())
             partner = not any(group == tuple(named) for group in model.alike)
-            said = words(named, together=together, alone=len(chosen) == len(named), partner=partner)
+            others = bool(np.count_nonzero(shares) > len(named))
+            said = words(named, together=together, alone=len(chosen) == len(named), partner=partner, others=others)
             return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", said)
         if left is not None and left.kind != "unknown":
             return left

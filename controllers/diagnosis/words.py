@@ -154,12 +154,19 @@ def inferred_fault(inferred: Sequence[float] | None, model: LinearModel, control
 
 
 def faulty_sensors(
-    blamed: Sequence[int], *, together: int, alone: bool, partner: bool = True, recorded: SignalNames | None = None
+    blamed: Sequence[int],
+    *,
+    together: int,
+    alone: bool,
+    partner: bool = True,
+    others: bool = False,
+    recorded: SignalNames | None = None,
 ) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
     `together`: so many are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
-    `partner`: another sensor measures the quantity of a single one. `recorded`: the names in a recording, for a monitor.
+    `partner`: another sensor measures the quantity of a single one. `others`: it blames further sensors for a short time.
+    `recorded`: the names in a recording, for a monitor.
     """
     *most, last = (str(i) if recorded is None else recorded.sensors[i] for i in blamed)
     at_once = "" if together < 2 else " at the same time"
@@ -167,6 +174,7 @@ def faulty_sensors(
         at_once = f", at most {together} of them{at_once}"
     sensors = ("sensors " if most else "sensor ") if recorded is None else ""
     who = f"{sensors}{', '.join(most)} and {last}{at_once}" if most else f"{sensors}{last}"
+    who = f"above all {who}" if others else who
     which = "any sensor" if not alone else "them" if most else "it"
     they = (
         "they are faulty, or the model is wrong and they are"

@@ -100,6 +100,8 @@ class StateSpace(Block):
         Units of signals, by name, for figures, tables and connections: ``{"force": "N", "v": "m/s"}``.
     arrays : bool
         Whether consecutive signals ``y[0]``, ``y[1]``, python-control's own names, become one port ``y``, as of a controller.
+    goal_names : sequence of str, optional
+        Of a controller: the measured signals, or states, of the plant that the elements of its goal are for.
 
     Raises
     ------
@@ -129,6 +131,7 @@ class StateSpace(Block):
     atol: float = field(default=1e-12, kw_only=True)
     units: Mapping[str, str] | None = field(default=None, kw_only=True, hash=False)
     arrays: bool = field(default=False, kw_only=True)
+    goal_names: Sequence[str] | None = field(default=None, kw_only=True)
 
     checks_finite: ClassVar[bool] = True
 
@@ -152,6 +155,8 @@ class StateSpace(Block):
             for name in names:
                 if name not in self._names[0]:
                     raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
+        if self.goal_names is not None:
+            set_(self, "goal_names", tuple([self.goal_names] if isinstance(self.goal_names, str) else self.goal_names))
         self._check_units()
         n = self._states
         initial = np.zeros(n) if self.initial is None else reals(self.initial)

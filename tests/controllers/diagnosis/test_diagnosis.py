@@ -1277,6 +1277,37 @@ def test_a_car_far_from_its_point_is_nonlinear_first():
     assert kinds == ["nonlinear"] * 3
 
 
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_longer_trailer_is_no_nonlinear_plant(seed):
+    """The plant is exactly linear. Of its columns in A one differs, which a square of the angle explained in part."""
+    lengths, L1, tau = {"plant": 8.0, "model": 6.5}, 3.8, 0.15
+    measured, std = ["angle", "lateral", "yawrate"], [0.005, 0.005, 0.03, 0.03, 0.004]
+
+    def truck(trailer, v=-1.5):
+        A = [
+            [0, v, 0, 0],
+            [0, 0, v / trailer, 0],
+            [0, 0, -v / trailer, v / L1],
+            [0, 0, 0, -1 / tau],
+        ]
+        B = [[0, v, 0], [0, 0, 0], [0, 0, 0], [1 / tau, 0, 1 / tau]]
+        C = [[0, 0, 1, 0], [1, 0, 0, 0], [0, 0, v / trailer, 0]]
+        return control.ss(A, B, C, 0, inputs=["steer", "slip", "play"], outputs=measured)
+
+    noise = {"slip": 0.01, "play": 0.02}
+    controller = controllers.design(
+        truck(lengths["model"]), dt=0.05, measured=measured, actuated="steer", sensors=[2, 2, 1], sensor_std=std,
+        goal="lateral", noise=noise, acceptable_error=0.3, acceptable_control=0.3,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        truck(lengths["plant"]), controller, control="steer", measured=measured, sensors=cosim.Sensors([2, 2, 1], std),
+        noise={name: cosim.Gaussian(std=size) for name, size in noise.items()}, reference=cosim.Sine(1.0, 40.0),
+    )  # fmt: skip
+    finding = controllers.diagnose(loop.simulate(80.0, seed=seed), loop)
+    assert finding.kind == "dynamics"
+    assert "nonlinear" not in finding.others
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_two_encoders_that_fail_one_after_the_other_are_no_load(seed):

@@ -613,3 +613,15 @@ def test_a_controller_of_python_control_without_names_is_told_them():
     own = ss([[0.5]], [[0.2, 0.1, 0.3]], [[-1.0]], [[0, 0, 0]], 0.1)
     with pytest.raises(cosim.UnknownNameError, match=r"inputs=\['y\[0\]', 'y\[1\]', 'goal'\], outputs=\['u'\]"):
         cosim.closed_loop(Car(), own, control="force", measured="speed", sensors=cosim.Sensors(2, 0.1), reference=1.0)
+
+
+@pytest.mark.parametrize("goal_names", ["x", ["x"]])
+def test_the_goal_of_a_controller_of_python_control_is_named(goal_names):
+    plant = ss([[0, 1], [0, -1]], [[0], [1]], np.eye(2), 0, inputs=["force"], outputs=["x", "v"])
+    own = ss([], [], [], [[-2.0, -2.0, 2.0]], 0.1, inputs=["y[0]", "y[1]", "goal"], outputs=["u"])
+    parts = {"control": "force", "measured": ["x", "v"], "sensors": cosim.Sensors([1, 1], 0.01), "reference": 1.0}
+    law = cosim.StateSpace(own, goal_names=goal_names)
+    plain, named = (cosim.closed_loop(plant, each, **parts).simulate(3.0, seed=1) for each in (own, law))
+    assert "tracking of x" not in plain.summary()["errors"].index
+    error = named.summary()["errors"].loc["tracking of x", "whole run"]
+    assert error == pytest.approx(np.sqrt(np.mean((plain["plant.x"] - 1.0) ** 2)))
