@@ -5,6 +5,7 @@ Many explanations run at once over the same recording with the same observers.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -223,7 +224,11 @@ def _rate(model: LinearModel) -> Floats | None:
     outside = np.hstack([A[:plant, plant:n], B[:plant]])
     whole = np.block([[A[:plant, :plant], outside], [np.zeros((outside.shape[1], plant)), np.eye(outside.shape[1])]])
     try:
-        rate = logm(whole)
+        with (
+            warnings.catch_warnings()
+        ):  # of a dead time in A, whose logarithm does not exist; below its exponential is compared
+            warnings.simplefilter("ignore")
+            rate = logm(whole)
     except (ValueError, np.linalg.LinAlgError):
         return None
     if not np.isfinite(rate).all() or np.abs(np.imag(rate)).max() > 1e-9:

@@ -356,7 +356,8 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     size = f", about as by a standard deviation of {std:.2g} in each sample of {named_state}" if named_state else ""
     return (
         f"the plant is moved more at random than process_covariance says{size}. Say where that noise acts (noise in design and "
-        "in a scenario), or make process_covariance larger."
+        "in a scenario), or make process_covariance larger. For a load that lasts, noise alone is not enough: the guide 'How do "
+        "I get rid of a steady error?' says what to do."
     )
 
 

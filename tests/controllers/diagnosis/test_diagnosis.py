@@ -822,6 +822,19 @@ def test_delays_of_a_model_that_are_too_long_are_named(case):
     assert diagnose_recording(right.with_delays(samples), y, u) is None
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_dead_time_in_A_gives_no_warning_of_scipy():
+    """A chain of past controls, written into A by hand, has no logarithm."""
+    A = np.array([[1.0, 0.0, 0.1], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    model = controllers.LinearModel(A, [[0.0], [1.0], [0.0]], [[1, 0, 0], [1, 0, 0]], [1e-6, 0.0, 0.0], 1e-4, dt=1.0)
+    assert faster(model, 2.0) is None
+    rng, u = np.random.default_rng(0), np.repeat(np.random.default_rng(1).normal(size=(30, 1)), 10, axis=0)
+    x = np.concatenate([[0.0, 0.0, 0.0], 0.05 * np.cumsum(u[:, 0])])[: len(u)]
+    finding = diagnose_recording(model, x[:, np.newaxis] + 0.01 * rng.normal(size=(300, 2)), u)
+    assert finding.kind == "gain"
+    assert finding.values[0] == pytest.approx(0.5, abs=0.02)
+
+
 @pytest.mark.parametrize(("factor", "effect", "kind"), [(1.0, 0.6, "gain"), (0.5, 0.5, "dt")])
 def test_errors_beside_a_long_delay_are_named(factor, effect, kind):
     """The past controls are known: they are no states of a plant with other dynamics, and no time scale changes a delay."""
