@@ -1200,7 +1200,7 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
         return None if np.isnan(samples[130, 0]) else controllers.ModelFinding("unknown", "")
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found, faulty_sensors)
-    assert (finding.kind, finding.sentence.partition(".")[0]) == ("unknown", "The controller blames sensor 0")
+    assert (finding.kind, finding.sentence.partition(".")[0]) == ("unknown", "The controller blames above all sensor 0")
     assert "the model is probably wrong" in finding.sentence
     alone = replace(MODEL, C=[[1.0], [0.5], [0.5]], sensor_covariance=np.eye(3))  # no other sensor of its quantity
     only = _without_blamed(alone, np.zeros((500, 3)), blamed, lambda samples: None, faulty_sensors)
