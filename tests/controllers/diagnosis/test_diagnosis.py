@@ -1218,7 +1218,7 @@ def test_a_sensor_that_is_doubted_for_a_moment_beside_a_faulty_one_is_not_called
 
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, only_without_all, faulty_sensors)
     assert finding.sentence.startswith(
-        "The controller blames sensor 0. Without the samples for which it blames any sensor"
+        "The controller blames above all sensor 0. Without the samples for which it blames any sensor"
     )
     blamed[120:400, 1] = True
     finding = _without_blamed(model, np.zeros((500, 3)), blamed, found, faulty_sensors)
