@@ -10,6 +10,7 @@ import numpy as np
 
 from bayesftc.cosim.base.units import Unit, difference
 from bayesftc.cosim.block import Block
+from bayesftc.cosim.blocks.faults.base import Fault
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
@@ -420,13 +421,43 @@ def units_of(diagram: Diagram) -> Units:
     Units are passed on along connections, element by element, and through blocks whose ports share one unit
     (`Block.one_unit`), such as a fault or a delay. If ports of different units are connected, the unit is not known.
     """
-    known = _declared(diagram)
+    return _of_ports(diagram, {place: unit for place, (unit, _) in _declared(diagram).items()}, {})
+
+
+def units_of_settings(diagram: Diagram, at: Mapping[str, int] | None = None) -> Units:
+    """Return the units of ports in which settings of their blocks are given.
+
+    They are those of `units_of`, but a fault is in the unit of its own sensor, and a source of a goal without a unit in that of
+    the quantity.
+
+    Parameters
+    ----------
+    diagram : Diagram
+        The diagram.
+    at : mapping of str to int, optional
+        For a block, the element of its ports for which a setting is, such as 2 for ``sensors.std[2]``.
+    """
+    goals: dict[Element, set[str | None]] = {}
+    roles = known_roles(diagram)
+    for quantity in roles.quantities if roles is not None else ():
+        if quantity.reference is not None:
+            goals.setdefault(_element(quantity.reference), set()).add(quantity.unit)
+    known = {place: unit for place, units in goals.items() if len(units) == 1 and (unit := next(iter(units)))}
+    known |= {place: unit for place, (unit, _) in _declared(diagram).items()}
+    faults = {node.name: node.block.sensor for node in diagram.nodes if isinstance(node.block, Fault)}
+    return _of_ports(diagram, known, faults | dict(at or {}))
+
+
+def _of_ports(diagram: Diagram, known: UnitsOfElements, at: Mapping[str, int]) -> Units:
+    """Return the unit of each port whose elements have one unit; of some blocks that of one element."""
     result: dict[Key, str] = {}
     for node in diagram.nodes:
         for port in (*node.block.inputs, *node.block.outputs):
-            units = {_unit(known.get((node.name, port.name, i))) for i in range(port.size)}
-            if port.unit or (len(units) == 1 and None not in units):
-                result[node.name, port.name] = port.unit or str(units.pop())
+            i = at.get(node.name, port.size)
+            units = {known.get((node.name, port.name, j)) for j in ([i] if i < port.size else range(port.size))}
+            unit = port.unit or (units.pop() if len(units) == 1 else None)
+            if unit:
+                result[node.name, port.name] = unit
     return result
 
 
@@ -475,10 +506,6 @@ def _declared(diagram: Diagram) -> dict[Element, tuple[str, Unit | None]]:
     return {element: single[first(element)] for element in [*origin] if first(element) in single} | units
 
 
-def _unit(known: tuple[str, Unit | None] | None) -> str | None:
-    return known[0] if known else None
-
-
 def check_units_of_goals(diagram: Diagram) -> None:
     """Refuse a reference in another unit than the quantity that it is the goal of; what is no closed loop has no goals.
 
@@ -516,9 +543,12 @@ def _where(quantity: QuantityRole, controller: Node) -> Element:
     """
     if quantity.sensors:
         return controller.name, "y", quantity.sensors[0]
-    signal, i = quantity.truth[0][1] if quantity.truth else (".", 0)
-    block, _, port = signal.rpartition(".")
-    return block, port, i
+    return _element(quantity.truth[0][1] if quantity.truth else (".", 0))
+
+
+def _element(place: Place) -> Element:
+    block, _, port = place[0].rpartition(".")
+    return block, port, place[1]
 
 
 def units_of_elements(diagram: Diagram) -> UnitsOfElements:
@@ -549,4 +579,5 @@ __all__ = [
     "known_roles",
     "units_of",
     "units_of_elements",
+    "units_of_settings",
 ]

@@ -17,7 +17,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
-from bayesftc.cosim.diagram.roles import units_of, units_of_elements
+from bayesftc.cosim.diagram.roles import units_of_elements, units_of_settings
 from bayesftc.cosim.diagram.schedule import Schedule
 from bayesftc.cosim.diagram.subsystem import Subsystem, with_inside
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
@@ -94,7 +94,7 @@ def program_of(
         If there is no block or signal of that name.
     """
     diagram = _as_diagram(exported, dt)
-    part, units, of_elements = _part(diagram, blocks), units_of(diagram), units_of_elements(diagram)
+    part, units, of_elements = _part(diagram, blocks), units_of_settings(diagram), units_of_elements(diagram)
     alone = len(part.nodes) == 1
     prefix = ""
     if isinstance(exported, Subsystem):

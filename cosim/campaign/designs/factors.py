@@ -13,7 +13,7 @@ from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
-from bayesftc.cosim.diagram.roles import units_of
+from bayesftc.cosim.diagram.roles import units_of_settings
 from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time, with_rates
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.export.units import unit_of_setting
@@ -89,13 +89,14 @@ def unit_of_factor(diagram: Diagram, path: str) -> str | None:
         return None
     block, setting = blocks[name], _joined(steps)
     declared: Mapping[str, Field[Any]] = getattr(block, "__dataclass_fields__", {})
-    whole = setting.partition("[")[0]
+    whole, _, index = setting.partition("[")
     if isinstance(block, FMU) and whole not in declared:
         setting = setting.removeprefix("parameters.")
         units = {variable.name: variable.unit for variable in block.description.variables}
         return units.get(setting) or units.get(setting.rpartition("[")[0])
     text = str(declared[whole].metadata.get("unit", "")) if whole in declared else ""
-    return unit_of_setting(text, name, units_of(diagram))
+    element = {name: int(index[:-1])} if index[:-1].isdecimal() else {}
+    return unit_of_setting(text, name, units_of_settings(diagram, element))
 
 
 def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]:

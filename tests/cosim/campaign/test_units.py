@@ -9,8 +9,11 @@ import pytest
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.base.units import parse
+from bayesftc.cosim.campaign.designs.factors import unit_of_factor
 from bayesftc.cosim.campaign.store.folder import CampaignStore
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.export.program import program_of
 
 
 def lagged(scale=1.0, unit="m"):
@@ -156,6 +159,49 @@ def test_factors_have_the_units_of_settings_and_of_parameters():
     heads = result._repr_html_()
     assert "<th>drift_0.start (s)</th>" in heads
     assert f"<th>final(plant.v) ({variables['v']})</th>" in heads
+
+
+@pytest.mark.parametrize(
+    ("shared", "expected"),
+    [
+        ({}, {"reference_0.value": "m", "reference_1.after": "rad", "reference_1.time": "s"}),
+        (
+            {"connections": [(["reference_1.y", "reference_1.y"], "controller.goal")]},
+            {"reference_0.value": None, "reference_1.after": None, "reference_1.time": "s"},
+        ),
+    ],
+)
+def test_a_factor_has_the_unit_of_the_sensor_or_goal_that_it_is_for(shared, expected):
+    """Of sensors of several quantities the unit was not known, although a fault has one sensor."""
+    system = control.ss(
+        0.9 * np.eye(2), np.eye(2), np.eye(2), 0, 0.1, inputs=["force", "torque"], outputs=["x", "angle"]
+    )
+    model = controllers.LinearModel(
+        0.9 * np.eye(2), np.eye(2), [[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]], np.eye(2), np.eye(3), dt=0.1
+    )
+    loop = cosim.closed_loop(
+        cosim.StateSpace(system, units={"force": "N", "torque": "N m", "x": "m", "angle": "rad"}),
+        controllers.LQGController(model, goal_covariance=np.eye(2)),
+        control=["force", "torque"],
+        measured=["x", "angle"],
+        sensors=cosim.Sensors(count=[2, 1], std=[0.1, 0.2, 0.3]),
+        faults=[cosim.Bias(sensor=1, magnitude=0.1), cosim.Drift(sensor=2, slope=0.1)],
+        reference=[0.0, cosim.Step(time=1.0, after=1.0)],
+        **shared,
+    )
+    sensors = [each.unit for each in find_roles(loop).sensors]
+    assert sensors == ["m", "m", "rad"]
+    units = {
+        "bias_1.magnitude": sensors[1],
+        "drift_2.slope": f"{sensors[2]}/s",
+        "sensors.std[0]": sensors[0],
+        "sensors.std[2]": sensors[2],
+        "sensors.std": None,
+        **expected,
+    }
+    assert {path: unit_of_factor(loop, path) for path in units} == units
+    exported = {each.name: each.unit for each in program_of(loop, blocks=["bias_1", "drift_2"]).tunables}
+    assert units.items() >= {path: exported[path] for path in ("bias_1.magnitude", "drift_2.slope")}.items()
 
 
 def test_a_function_of_factors_of_any_names_has_no_units():
