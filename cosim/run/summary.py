@@ -230,12 +230,11 @@ def findings_table(inferred: Sequence[Mapping[str, Any]], hold: float | None = N
     longest = sorted(inferred, key=lambda each: each["start"] - each["end"])[:MOST_FINDINGS]
     rows, several = [], any(each.get("alarms", 1) >= MANY_ALARMS for each in longest)
     for each in sorted(longest, key=lambda each: each["start"]):
-        unit = each["unit"].replace("{", "{{").replace("}", "}}")
         values = (each["kind"] or None, *(each[name] for name in ("onset", "start", "end", "size", "probability")))
         times = ["{:.5g}" if seconds is None or seconds < 1e5 else "{:.0f}" for seconds in values[1:4]]
         if values[1] is not None and values[1] < 1e3:
             times[0] = "{:.3g}" if values[1] < 10.0 else "{:.4g}"  # it is estimated
-        forms = ["{}", *times, f"{{:.3g}} {unit}".rstrip(), "{:.3f}"]
+        forms = ["{}", *times, _followed_by("{:.3g}", each["unit"]), "{:.3f}"]
         if several:
             values, forms = (*values, each.get("alarms", 1)), [*forms, "{:.0f}"]
         rows.append((each["where"], values, tuple(forms)))
@@ -260,19 +259,27 @@ def _timed(rows: Sequence[Row], step: float | None) -> Iterator[Row]:
         yield label, key, f"{{:.{max(2, decimals)}f}}" if key == "delay" else form
 
 
-def _of_sensors(sensors: Sequence[Mapping[str, Any]], step: float | None) -> Iterator[tuple[str, tuple[Any, ...], str]]:
-    units = {s["unit"] for s in sensors}
-    unit = units.pop() if len(units) == 1 else None
+def _followed_by(form: str, unit: str) -> str:
+    """Return a format with a unit behind the number."""
+    return f"{form} {unit.replace('{', '{{').replace('}', '}}')}".rstrip()
+
+
+def _of_sensors(
+    sensors: Sequence[Mapping[str, Any]], step: float | None
+) -> Iterator[tuple[str, tuple[Any, ...], str | tuple[str, ...]]]:
+    units = [f"1/{unit if unit.isalpha() else f'({unit})'}²" if (unit := s["unit"]) else "" for s in sensors]
+    one = units[0] if len({*units}) == 1 else ""
     missing = any(s["missing_share"] for s in sensors)
     for label, key, form in _timed(SENSOR_ROWS, step):
         if key in MISSING_ROWS and not missing:
             continue
-        title = label
-        if key.startswith("precision") and unit:
-            title = f"{label} (1/{unit if unit.isalpha() else f'({unit})'}²)"
+        title, forms = label, (form,) * len(sensors)
+        if key.startswith("precision"):
+            title = with_unit(label, one)
+            forms = forms if one else tuple(_followed_by(form, unit) for unit in units)
         elif key == "auc" and any(s["ranked_by"] == "beta" for s in sensors):
             title = "AUC of beta"
-        yield title, tuple(s[key] for s in sensors), form
+        yield title, tuple(s[key] for s in sensors), forms
 
 
 class RunSummary(Mapping[str, "pd.DataFrame"]):

@@ -92,6 +92,29 @@ def test_a_delay_of_one_step_does_not_look_like_none(result, loop, step, delay, 
     assert next(row for row in table.texts() if row[0] == "mean detection delay (s)")[1] == printed
 
 
+@pytest.mark.parametrize(
+    ("units", "head", "behind"),
+    [
+        (("m", "m"), " (1/m²)", ("", "")),
+        (("m", "rad/s"), "", (" 1/m²", " 1/(rad/s)²")),
+        (("m", None), "", (" 1/m²", "")),
+        ((None, None), "", ("", "")),
+        (("{a}", "m"), "", (" 1/({a})²", " 1/m²")),
+    ],
+)
+def test_precisions_of_several_units_have_them_behind_the_numbers(result, loop, units, head, behind):
+    numbers = numbers_of(loop_signals(loop, result))
+    values = []
+    for sensor, unit in zip(numbers["sensors"], units, strict=True):
+        sensor["unit"] = unit
+        values.append(sensor["precision_healthy"])
+    (table,) = (each for each in tables_of(numbers) if each.key == "sensors")
+    (shown,) = (row for row in table.texts() if row[0].startswith("mean precision without fault"))
+    expected = [f"{value:.3g}{unit}" for value, unit in zip(values, behind, strict=True)]
+    assert shown == (f"mean precision without fault{head}", *expected)
+    assert table.frame().loc[shown[0]].tolist() == values
+
+
 def test_it_prints_aligned_tables(result):
     text = repr(result.summary())
     heading, header, tracking, *_ = text.splitlines()
