@@ -39,8 +39,9 @@ class Definition:
         False for a block that calls back into Python; the loop then runs in Python, and calls compiled step functions of other
         blocks only in long runs.
     scratch : mapping of name to array
-        Work arrays for intermediate values, since a step function allocates nothing. Their content at the beginning of a step
-        function has no meaning. Values that ``update`` needs from ``output`` therefore belong to the state.
+        Work arrays for intermediate values, such as ``{"k1": np.zeros(4)}``, since a step function allocates nothing. Their
+        content at the beginning of a step function has no meaning. Values that ``update`` needs from ``output`` therefore belong
+        to the state.
     records : mapping of name to NamedTuple of str
         Arguments of the step functions that are records of several arrays. Each is an instance of a `NamedTuple` class whose
         fields hold the *names* of ports and entries, such as ``{"model": Model(A="A", Q="process_covariance")}``. The step

@@ -8,6 +8,8 @@ from functools import lru_cache
 from types import CodeType
 from typing import Any
 
+import numpy as np
+
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.errors import KernelError
@@ -41,6 +43,12 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     for name in definition.records:
         if name in names:
             raise KernelError(f"Block {title} has a record {name!r} and also a port or entry of that name: rename one.")
+    for name, value in definition.scratch.items():
+        if _is_shape(value):
+            raise KernelError(
+                f"Block {title} has scratch={{{name!r}: {value!r}}}, which is a shape; give an array of this shape: "
+                f"np.zeros({value!r})."
+            )
     for kernel in (definition.output, definition.update):
         if kernel is None:
             continue
@@ -67,6 +75,12 @@ def checked(block: Block, definition: Definition, title: str) -> Definition:
     if definition.output is not None:
         _warn_of_unwritten(definition.output, outputs, title)
     return definition
+
+
+def _is_shape(value: object) -> bool:
+    """Return whether scratch space is given by its shape: an array of these numbers, which mean nothing, would be too short."""
+    counts = isinstance(value, tuple) and all(isinstance(n, int | np.integer) and n >= 1 for n in value)
+    return counts and value not in ((), (1,))
 
 
 def _warn_of_unwritten(kernel: Kernel, outputs: Set[str], title: str) -> None:

@@ -255,6 +255,10 @@ CASES = {
         {"output": shows_constant, "update": writes_inputs, "state": {"held": 0.0}},
         r"'writes_inputs' of block 'b' writes into its input 'inputs'",
     ),
+    "shape of scratch space": (
+        {"output": write_held, "state": {"held": 0.0}, "scratch": {"k1": np.zeros(4), "k2": (4,)}},
+        r"Block 'b' has scratch={'k2': \(4,\)}, which is a shape; give an array of this shape: np.zeros\(\(4,\)\)",
+    ),
     "same name twice": ({"output": write_held, "state": {"held": 0.0, "u": 0.0}}, r"uses the name 'u' twice"),
     "reserved name": ({"output": write_held, "state": {"held": 0.0, "t": 0.0}}, r"uses the name 't' twice"),
 }
@@ -270,6 +274,14 @@ def test_contract(case, make_block):
         diagram.build()
     with pytest.raises(cosim.KernelError, match=sentence.replace("'b'", "Custom")):
         block.online(1, compiled=False)
+
+
+@pytest.mark.parametrize("values", [0, 4.0, (1,), (0, 0), (4.0,), [4, 2], np.array([4, 2]), ()])
+def test_scratch_space_may_have_any_values(values, make_block):
+    block = make_block(
+        inputs=[Port("u", default=2.0)], outputs=[Port("y")], output=copy_through, scratch={"work": values}
+    )
+    assert block.online(1, compiled=False)(u=3.0).y == 3.0
 
 
 def rebinds(u, y):
