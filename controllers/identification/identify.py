@@ -57,7 +57,8 @@ class Identification(Printed):
     simulated_fit : ndarray
         The same for a simulation from the inputs alone; it has little meaning for noisy or integrating plants. NaN if unstable.
     whiteness : ndarray
-        Probability, for each output, that white residuals are as correlated in time as these (Ljung and Box, 20 lags).
+        p-value, for each output, of the test for white residuals: the probability that white residuals are at least as correlated
+        in time as these (Ljung and Box, 20 lags). A small one says that the residuals are not white.
     correlations : ndarray
         Canonical correlations between past and future: those of the states, and the remaining ones. With bridged gaps they are
         those of the recording with straight lines in the gaps, and the order is that of the best information criterion.
@@ -113,8 +114,8 @@ class Identification(Printed):
             if np.isfinite(self.simulated_fit[i]):
                 simulated = f"{self.simulated_fit[i]:.1f} % by simulation"
             lines.append(
-                f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {simulated}; residuals white with probability "
-                f"{self.whiteness[i]:.2g}."
+                f"{name}: {self.fit[i]:.1f} % explained one sample ahead, {simulated}; test for white residuals: "
+                f"p-value {self.whiteness[i]:.2g}."
             )
         alike = similar(self.model, self.outputs)
         return Lines("\n".join([*lines, *self.poor, *[alike] * bool(alike)]))
@@ -197,7 +198,8 @@ def identify(
     moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step, names=names)
     model = moving.about(np.zeros(moving.states), u_mean, (y_mean + y_size * offset)[of], following=drift)
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
-    doubts += quantities.deviations(y[:split], weights, noise)
+    apart = quantities.deviations(y[:split], weights, noise)
+    doubts += [sentence for sentences in apart.values() for sentence in sentences]
     identification = _validated(
         model,
         u[split:],
@@ -209,6 +211,7 @@ def identify(
         outputs=tuple(names_out),
         correlations=correlations,
         doubts=doubts,
+        apart={column: name for name in apart for column in quantities.shared[name]},
     )
     model = model.with_delays(input_delays, sensor_delays)
     return replace(identification, model=model, quantities=quantities.named)
@@ -326,8 +329,12 @@ def _validated(
     outputs: tuple[str, ...],
     correlations: Floats,
     doubts: list[str],
+    apart: Mapping[str, str],
 ) -> Identification:
-    """Test the model on held-out samples; warn about deficiencies."""
+    """Test the model on held-out samples; warn about deficiencies.
+
+    `apart` has the columns of quantities whose sensors differ, each with its quantity. No order explains such a difference.
+    """
     predicted, simulated = _run(model, u, y, begin)
     measured, residuals = y[begin:], (y - predicted)[begin:]
     spread = np.nanstd(measured, axis=0)
@@ -342,14 +349,17 @@ def _validated(
     poor = list(doubts)
     for i, name in enumerate(outputs):
         floor = 1e-9 * spread[i]
+        higher, other = "Try a higher order.", "Try a higher order; else the plant is not linear, or has changed."
+        if name in apart:
+            higher = other = f"The difference between the sensors of {apart[name]} may be the cause."
         if errors[i] > WORSE * yardstick[i] + floor:
             poor.append(
                 f"{name}: on held-out data the errors are {errors[i] / max(yardstick[i], floor):.2g} times those of a long "
-                "autoregression. Try a higher order; else the plant is not linear, or has changed."
+                f"autoregression. {other}"
             )
         limit = max(CORRELATED, 4 / np.sqrt(np.isfinite(residuals[:, i]).sum()))
         if errors[i] > floor and tests[i][1] > limit:
-            poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}; try a higher order.")
+            poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}. {higher}")
         if errors[i] > 0.9 * spread[i]:
             poor.append(
                 f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it; check whether the inputs move it."

@@ -102,17 +102,16 @@ class Quantities:
         whole = common[np.ix_(self.of, self.of)] + np.diag(np.where(self.alone, 0.0, noise))
         return np.asarray(np.linalg.solve(whole, (K @ S)[:, self.of].T).T), whole
 
-    def deviations(self, y: Floats, weights: Floats, noise: Floats) -> list[str]:
-        """Return sentences about sensors whose reading is not the common one of their quantity."""
-        found, off = [], y - self.fused(y, weights)[:, self.of]
+    def deviations(self, y: Floats, weights: Floats, noise: Floats) -> dict[str, list[str]]:
+        """Return, for each quantity with such sensors, sentences about those whose reading is not the common one."""
+        found: dict[str, list[str]] = {}
+        off = y - self.fused(y, weights)[:, self.of]
         for places in self._groups():
-            levels = levels_of_parts(off[:, places])
-            common = (
-                f"the {'mean' if len(places) == 2 else 'median'} of the sensors of {self.names[self.of[places[0]]]}"
-            )
+            levels, name = levels_of_parts(off[:, places]), self.names[self.of[places[0]]]
+            common = f"the {'mean' if len(places) == 2 else 'median'} of the sensors of {name}"
             for i, own in zip(places, levels.T, strict=True):
                 if len(own) and max(abs(np.mean(own)), abs(np.median(own))) > APART * noise[i] ** 0.5:
-                    found.append(f"{self.columns[i]}: {_deviation(own, common)}")
+                    found.setdefault(name, []).append(f"{self.columns[i]}: {_deviation(own, common)}")
         return found
 
     def _groups(self) -> list[list[int]]:

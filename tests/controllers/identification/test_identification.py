@@ -177,6 +177,7 @@ def test_sensors_that_are_slower_than_the_rest(slow, rows):
     # Of a few hundred samples of a sensor; that of the process is taken for noise of the sensor and the other way round.
     np.testing.assert_allclose(np.diag(r), np.diag(R), rtol=0.25)
     assert found.whiteness.min() > 1e-3
+    assert f"p-value {found.whiteness[0]:.2g}." in found.describe()
     found.plot()
 
 

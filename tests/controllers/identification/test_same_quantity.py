@@ -155,3 +155,21 @@ def test_bad_outputs(outputs, words):
     table["e"], table["f"] = table["a"].where(table.index % 50 == 0), table["a"]
     with pytest.raises(ModelError, match=words):
         LinearModel.identify(table, inputs="u", outputs=outputs)
+
+
+@pytest.mark.parametrize("first", [5.0, 0.0])
+def test_a_difference_between_sensors_is_not_blamed_on_order_or_plant(first):
+    """The difference is constant, or begins at 0. Without it, a model of order 2 has no deficiency."""
+    table, outputs = record(), {"level": ["a", "b"], "flow": "d"}
+    assert not LinearModel.identify(table, inputs="u", outputs=outputs, order=2).poor
+    table["b"] += np.linspace(first, 5.0, len(table))
+    with pytest.warns(PoorFitWarning):
+        poor = LinearModel.identify(table, inputs="u", outputs=outputs, order=2).poor
+    compared = [sentence for sentence in poor if "long autoregression" in sentence]
+    assert [sentence[:2] for sentence in compared] == ["a:", "b:"]
+    assert all(
+        sentence.endswith("The difference between the sensors of level may be the cause.") for sentence in compared
+    )
+    assert not any("higher order" in sentence for sentence in poor)
+    with pytest.warns(PoorFitWarning, match="d: on held-out data .* Try a higher order; else"):
+        LinearModel.identify(table, inputs="u", outputs=outputs, order=1)
