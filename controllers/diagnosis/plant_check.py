@@ -10,10 +10,11 @@ import numpy as np
 from bayesftc.controllers.bayesian.block import extended_mean
 from bayesftc.controllers.diagnosis.explanations import holding
 from bayesftc.controllers.models.checks import as_vector
+from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.errors import BayesFTCError
+from bayesftc.cosim.errors import BayesFTCError, ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,6 +112,7 @@ def compare_with_plant(
     *,
     control: str | Sequence[str],
     measured: str | Sequence[str],
+    reads: Sequence[int | None] | None = None,
     at: ArrayLike = 0.0,
     u_min: ArrayLike = -np.inf,
     u_max: ArrayLike = np.inf,
@@ -123,11 +125,15 @@ def compare_with_plant(
     Parameters
     ----------
     model : LinearModel
-        The model. The first sensors of its quantities measure the given outputs, in their order.
+        The model.
     plant : Block
         The plant.
     control, measured : str or sequence of str
         The plant's inputs and outputs, as for `bayesftc.cosim.closed_loop`.
+    reads : sequence of int or None, optional
+        For each of the model's sensors the number of the measured output that it reads, as `bayesftc.cosim.Sensors.reads`;
+        None for one that reads a mixture, which is not compared. An output is compared with the first sensor that reads it.
+        By default the first sensors of the model's quantities read the outputs, in their order.
     at : number or vector
         The model's state for the steps; controls begin at the values that hold the plant there.
     u_min, u_max : number or vector
@@ -161,11 +167,21 @@ def compare_with_plant(
     state = np.atleast_1d(np.asarray(at, dtype=np.float64))
     mean = np.array(np.broadcast_to(np.asarray(extended_mean(model, state, state), np.float64), model.states))
     start = np.clip(holding(model, mean), low, high)
+    if reads is not None and len(reads) != model.sensors:
+        raise ModelError(
+            f"compare_with_plant has reads={tuple(reads)} for {counted(model.sensors, 'sensor')} of the model; give the number "
+            "of an output, or None, for each sensor."
+        )
     baseline = _response(model, plant, names, outputs, start)
-    if baseline is None or baseline.shape[1] > model.sensors:
+    if baseline is None:
         return ()
-    firsts = [group[0] for group in model.alike]
-    sensors = firsts if len(firsts) == baseline.shape[1] else list(range(baseline.shape[1]))
+    first = _first_sensors(model, reads, baseline.shape[1])
+    if not first:
+        return ()
+    labels = outputs
+    if len(outputs) != baseline.shape[1]:
+        labels = [f"output {i} ({', '.join(outputs)})" for i in range(baseline.shape[1])]
+    labels, columns, sensors = [labels[i] for i in first], list(first), list(first.values())
     differences: list[Mismatch] = []
     dead = 0 if model.delays is None else max(model.delays.inputs) + max(model.delays.sensors)
     for j in range(p):
@@ -186,14 +202,24 @@ def compare_with_plant(
             response = _response(model, plant, names, outputs, moved) if step else None
             if response is None:
                 break
-            change = response[used] - baseline[used]
-            found = _differences(change, expected * step, name, outputs, visible, delayed=model.delays is not None)
+            change = (response[used] - baseline[used])[:, columns]
+            found = _differences(change, expected * step, name, labels, visible, delayed=model.delays is not None)
             if not found:
                 break
         differences += found
     for mismatch in differences:
         warn_user(mismatch.sentence(float(model.step)), ModelMismatchWarning)
     return tuple(differences)
+
+
+def _first_sensors(model: LinearModel, reads: Sequence[int | None] | None, outputs: int) -> dict[int, int]:
+    """Return the first sensor of each output to compare, by the number of the output."""
+    if reads is not None:
+        return {i: list(reads).index(i) for i in range(outputs) if i in reads}
+    if outputs > model.sensors:
+        return {}
+    firsts = [group[0] for group in model.alike]
+    return dict(enumerate(firsts if len(firsts) == outputs else range(outputs)))
 
 
 def _differences(
@@ -206,7 +232,7 @@ def _differences(
     differences = []
     largest = np.abs(expected).max(axis=0)
     for i in range(expected.shape[1]):
-        name = outputs[i] if len(outputs) == expected.shape[1] else f"output {i} ({', '.join(outputs)})"
+        name = outputs[i]
         if not visible[i] or not np.isfinite(response[:, i]).all():
             continue
         if np.abs(response[:, i]).max() > RUNAWAY * largest[i]:

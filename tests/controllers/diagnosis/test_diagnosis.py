@@ -938,6 +938,24 @@ def test_each_output_is_compared_with_a_sensor_of_its_own():
     assert controllers.compare_with_plant(model, plant, control=["a", "b"], measured=["y", "z"]) == ()
 
 
+def test_reads_says_which_sensor_reads_which_output():
+    """Sensors in another order, with a mixture, and of outputs of the same state, of which the default knows nothing."""
+    C = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    system = control.ss(np.diag([0.9, 0.8]), [[0.1], [0.3]], C, 0, 0.1, inputs=["u"], outputs=["x", "y", "z"])
+    plant = cosim.StateSpace(system)
+    for reads in ((0, 0, 1, 2), (2, 1, 0, 2), (None, 2, 0, 1), (None, None, 2, None)):
+        rows = np.array([[0.5, -0.5] if i is None else C[i] for i in reads])
+        right = controllers.LinearModel(system.A, system.B, rows, 1e-4, 0.01, dt=0.1)
+        wrong = replace(right, C=rows * [1.0, 0.5])  # the model's z moves half as far
+        for model, ratios in ((right, []), (wrong, [2.0])):
+            with warnings.catch_warnings(action="ignore"):
+                found = controllers.compare_with_plant(model, plant, control="u", measured=["x", "y", "z"], reads=reads)
+            assert [round(each.ratio, 6) for each in found] == ratios
+            assert {each.output for each in found} <= {"z"}
+    with pytest.raises(cosim.ModelError, match=r"reads=\(0, 1\) for 4 sensors"):
+        controllers.compare_with_plant(model, plant, control="u", measured=["x", "y", "z"], reads=(0, 1))
+
+
 def test_a_late_plant_is_said_to_be_late():
     from bayesftc.reproduce.experiments.models.car import TrueCar
 
@@ -972,6 +990,64 @@ def test_bayesftc_run_warns_before_and_says_after_what_is_wrong(tmp_path, capsys
     with pytest.warns(controllers.ModelMismatchWarning, match="in opposite directions"):
         run_command([str(wrong)])
     assert "Check the sign of B." in " ".join(capsys.readouterr().out.split())
+
+
+POOL = """
+[simulation]
+duration = 600
+dt = 60.0
+[plant]
+A = [[0.6, 0.0], [{gain}, 1.0]]
+B = [[0.4], [0.0]]
+C = [[0.0, 1.0], [0.05, 1.0], [1.0, 0.0]]
+dt = 60.0
+inputs = ["gate"]
+outputs = ["level", "upstream", "flow"]
+control = "gate"
+measured = {measured}
+[known.plant]
+A = [[0.6, 0.0], [0.003, 1.0]]
+B = [[0.4], [0.0]]
+C = [[0.0, 1.0], [0.05, 1.0], [1.0, 0.0]]
+dt = 60.0
+inputs = ["gate"]
+outputs = ["level", "upstream", "flow"]
+control = "gate"
+measured = {measured}
+[sensors]
+std = 0.005
+{sensors}
+[reference]
+kind = "Constant"
+value = 0.0
+[controller]
+kind = "design"
+goal = "level"
+"""
+
+
+@pytest.mark.parametrize("gain", [0.003, 0.0045])
+def test_bayesftc_run_warns_of_an_output_beside_others_as_alone(gain, tmp_path):
+    """A wrong gain of the level is said whatever else is measured, and however the sensors are given."""
+    from bayesftc.cli.commands.loops.run import run as run_command
+
+    said = []
+    for measured, sensors in (
+        ('"level"', "count = 2"),
+        ('["level", "upstream", "flow"]', "count = [2, 1, 1]"),
+        ('["flow", "level"]', "count = [1, 1]"),
+        ('["level", "flow"]', "count = 4"),  # in turn
+    ):
+        path = tmp_path / "pool.toml"
+        path.write_text(POOL.format(gain=gain, measured=measured, sensors=sensors), encoding="utf-8")
+        with warnings.catch_warnings(record=True) as shown:
+            warnings.simplefilter("always")
+            run_command([str(path)], json=True)
+        texts = [str(w.message) for w in shown if issubclass(w.category, controllers.ModelMismatchWarning)]
+        said.append([text for text in texts if "moves level" in text])
+        assert len(texts) == len(said[-1]) or "upstream" in measured
+    assert said == [said[0]] * 4
+    assert len(said[0]) == (gain != 0.003)
 
 
 def test_bayesftc_run_says_nothing_of_a_right_model(capsys):

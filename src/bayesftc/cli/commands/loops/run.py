@@ -145,7 +145,8 @@ def _compare(scenario: Scenario) -> None:
     controller, sensors, wiring = scenario.controller, scenario.sensors, scenario.wiring
     if not isinstance(getattr(controller, "model", None), LinearModel):
         return
-    if sensors is not None and (sensors.function is not None or sensors.matrix is not None):
+    reads = None if sensors is None else sensors.reads
+    if reads is not None and all(output is None for output in reads):
         return  # the sensors measure a function of the plant's outputs
     if any(
         not target.startswith(("controller.goal", *(f"{name}." for name in scenario.blocks)))
@@ -161,6 +162,7 @@ def _compare(scenario: Scenario) -> None:
         scenario.plant,
         control=wiring.control,
         measured=wiring.measured,
+        reads=reads,
         at=np.asarray(controller.initial_mean)[: model.plant_states],  # type: ignore[attr-defined]
         **limits,
     )
