@@ -224,9 +224,8 @@ def _rate(model: LinearModel) -> Floats | None:
     outside = np.hstack([A[:plant, plant:n], B[:plant]])
     whole = np.block([[A[:plant, :plant], outside], [np.zeros((outside.shape[1], plant)), np.eye(outside.shape[1])]])
     try:
-        with (
-            warnings.catch_warnings()
-        ):  # of a dead time in A, whose logarithm does not exist; below its exponential is compared
+        # A dead time in A has no logarithm, of which scipy warns. The exponential is compared below.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             rate = logm(whole)
     except (ValueError, np.linalg.LinAlgError):

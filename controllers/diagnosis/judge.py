@@ -276,12 +276,10 @@ def _agreeing(model: LinearModel, recording: Recording) -> Recording:
     healthy = healthy_stretches(model, recording.y)
     begins = [k for k in range(1, len(healthy)) if healthy[k] and not healthy[k - 1]]
     begins += [k for k in after_gaps(recording.y) if healthy[k - 1]]
+    # A recording that is judged again has no such stretches: its own begins and offsets remain.
     return replace(
         recording,
         y=np.where(healthy[:, None], recording.y, np.nan),
-        begins=(
-            0,
-            *sorted({*begins, *recording.begins[1:]}),
-        ),  # of a recording without such stretches, its own ones remain
+        begins=(0, *sorted({*begins, *recording.begins[1:]})),
         offsets=recording.offsets if healthy.all() else shifted(model, recording.y),
     )

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.errors import ModelError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Invalid = float | Sequence[float] | Sequence[Sequence[float]]
 """A value, several for all sensors, or several for each sensor."""
@@ -54,6 +57,12 @@ def invalid_values(who: str, given: Any, sensors: int) -> NDArray[np.float64]:
     for row, sensor_values in zip(table, each, strict=True):
         row[: len(sensor_values)] = sensor_values
     return table
+
+
+def without_texts(cells: pd.Series[Any], invalid: Sequence[float | str]) -> pd.Series[Any]:
+    """Return a column of a file without the texts that stand for missing samples."""
+    texts = [value.strip() for value in invalid if isinstance(value, str)]
+    return cells.mask(cells.astype(str).str.strip().isin(texts)) if texts else cells
 
 
 def numbers_of(invalid: Sequence[float | str]) -> list[float]:

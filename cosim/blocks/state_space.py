@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bayesftc.cosim.array_ports import gathered
-from bayesftc.cosim.base.numbers import reals
+from bayesftc.cosim.base.numbers import counted, reals
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.block import Block, Definition
 from bayesftc.cosim.blocks.linear_system import LinearSystem, as_rows, held, normalised, signal_names
@@ -155,8 +155,10 @@ class StateSpace(Block):
             for name in names:
                 if name not in self._names[0]:
                     raise UnknownNameError(f"StateSpace has no input {name!r}; {did_you_mean(name, self._names[0])}")
+        if not isinstance(self.arrays, bool):
+            raise ModelError(f"StateSpace has arrays={self.arrays!r}; it must be True or False.")
         if self.goal_names is not None:
-            set_(self, "goal_names", tuple([self.goal_names] if isinstance(self.goal_names, str) else self.goal_names))
+            set_(self, "goal_names", self._goals())
         self._check_units()
         n = self._states
         initial = np.zeros(n) if self.initial is None else reals(self.initial)
@@ -171,6 +173,18 @@ class StateSpace(Block):
             set_(self, "process_noise", as_rows(covariance))
         if not (self.rtol > 0 and self.atol > 0):
             raise ModelError(f"StateSpace has rtol={self.rtol!r}, atol={self.atol!r}; both must be positive.")
+
+    def _goals(self) -> tuple[str, ...]:
+        """Return the names of the goals as a tuple, one for each input ``goal`` or ``goal[0]``, ``goal[1]``."""
+        given = [self.goal_names] if isinstance(self.goal_names, str) else self.goal_names
+        goals = [name for name in self._names[0] if name.partition("[")[0] == "goal"]
+        named = isinstance(given, Sequence) and all(isinstance(name, str) for name in given)
+        if given is None or not named or len(given) != len(goals):
+            raise ModelError(
+                f"StateSpace has goal_names={brief(self.goal_names)}; it must be {counted(len(goals), 'name')}, one for each "
+                "element of its goal, such as ['angle']."
+            )
+        return tuple(given)
 
     def _check_units(self) -> None:
         units = {} if self.units is None else self.units

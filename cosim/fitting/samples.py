@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
@@ -95,8 +95,10 @@ def sample(
     unused = tuple(str(column) for column in table.columns if column != rows.time and column not in named)
     held = {name: _held(values, into[name]) for name, values in given.items()}
     samples = Samples(rows.step, rows.start, held, out, y, unused, _gaps(rows.at))
-    columns = [(name, values[:, j]) for key, values in given.items() for j, name in enumerate(into[key])]
-    return replace(samples, silences=tuple(_silences(columns, y, samples.time)))
+    columns = ((name, values[:, j]) for key, values in given.items() for j, name in enumerate(into[key]))
+    t = samples.time
+    times = ((name, t[np.isfinite(values)]) for name, values in columns)
+    return replace(samples, silences=silences(times, t[np.isfinite(y).any(axis=1)], float(t[-1])))
 
 
 def _by_variable(given: Columns, what: str) -> dict[str, list[str]]:
@@ -128,15 +130,6 @@ def _gaps(rows: Steps) -> tuple[tuple[int, int], ...]:
     intervals = np.diff(rows)
     usual = float(np.median(intervals)) if len(intervals) else 0.0
     return tuple((int(rows[k]), int(rows[k + 1])) for k in np.flatnonzero(intervals > LEAST_MISSING * max(usual, 1.0)))
-
-
-def _silences(columns: Sequence[tuple[str, Floats]], y: Floats, time: Floats) -> Iterator[Silence]:
-    """Give the silences of each column in which a sensor has a sample."""
-    sampled = time[np.isfinite(y).any(axis=1)]
-    for name, values in columns:
-        for each in silences(name, time[np.isfinite(values)], float(time[-1])):
-            if ((sampled > each.start) & (sampled < each.end)).any():
-                yield each
 
 
 def _held(values: Floats, names: Sequence[str]) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import datetime
 from typing import NamedTuple
 
@@ -33,13 +33,26 @@ class Silence(NamedTuple):
     end: float
 
 
-def silences(name: str, time: Floats, end: float) -> list[Silence]:
-    """Return the silences of an input that has samples at regular times; `end` is that of the recording."""
-    intervals, typical = np.diff(time), typical_interval(time)
-    if len(intervals) < FEWEST or np.mean(intervals <= NEAR * typical) < REGULAR:
-        return []
-    ends = np.append(time[1:], end)
-    return [Silence(name, float(time[k]), float(ends[k])) for k in np.flatnonzero(ends - time > LONG * typical)]
+def silences(inputs: Iterable[tuple[str, Floats]], sampled: Floats, end: float) -> tuple[Silence, ...]:
+    """Return the silences of inputs that have samples at regular times, if a sensor has one in them.
+
+    Parameters
+    ----------
+    inputs : iterable of (str, ndarray)
+        Name and times of the samples of each input.
+    sampled : ndarray
+        The times at which any sensor has a sample.
+    end : float
+        The end of the recording.
+    """
+    found = []
+    for name, time in inputs:
+        intervals, typical = np.diff(time), typical_interval(time)
+        if len(intervals) < FEWEST or np.mean(intervals <= NEAR * typical) < REGULAR:
+            continue
+        ends = np.append(time[1:], end)
+        found += [Silence(name, float(time[k]), float(ends[k])) for k in np.flatnonzero(ends - time > LONG * typical)]
+    return tuple(each for each in found if ((sampled > each.start) & (sampled < each.end)).any())
 
 
 def held_notes(

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesftc.cosim.base.announcing import inform
-from bayesftc.cosim.base.invalid import invalid_values, numbers_of
+from bayesftc.cosim.base.invalid import invalid_values, numbers_of, without_texts
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
 from bayesftc.cosim.base.recordings.csv_form import CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
@@ -178,9 +178,7 @@ class Tables:
 
     def column(self, file: Path, name: str, signal: str, invalid: Sequence[float | str] = ()) -> Floats:
         """Return a column as numbers, NaN where a cell is empty or invalid. The user is informed of values that are too large."""
-        cells = self._cells(file, name, signal)
-        if texts := [value.strip() for value in invalid if isinstance(value, str)]:
-            cells = cells.mask(cells.astype(str).str.strip().isin(texts))
+        cells = without_texts(self._cells(file, name, signal), invalid)
         numbers = self._numbers(cells, file, name, signal)
         numbers[np.isin(numbers, invalid_values("A signal", numbers_of(invalid), 1))] = np.nan
         absurd = absurd_values(numbers)

@@ -372,8 +372,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
     )
     of_inputs = tuple(inputs), tuple(signal.unit for signal in inputs.values())
     better, left_out = _better(times, first, replaced)
-    silent = [each for name, signal in inputs.items() for each in silences(name, signal.corrected[0], end)]
-    sampled = start + np.flatnonzero(np.isfinite(y).any(axis=1)) * float(step)
+    sampled = np.asarray(start + np.flatnonzero(np.isfinite(y).any(axis=1)) * float(step), dtype=np.float64)
     return Recording(
         start,
         step,
@@ -391,7 +390,7 @@ def align(sensors: Mapping[str, Signal], inputs: Mapping[str, Signal], dt: float
         interval=tuple(interval),
         better=better,
         left_out=left_out,
-        silences=tuple(each for each in silent if ((sampled > each.start) & (sampled < each.end)).any()),
+        silences=silences(((name, signal.corrected[0]) for name, signal in inputs.items()), sampled, end),
     )
 
 

@@ -15,15 +15,16 @@ def without(start, end, times=TIMES):
 
 
 def test_an_empty_stretch_of_a_regular_input_is_found_also_at_the_end():
-    assert silences("w", TIMES, TIMES[-1]) == []
-    assert silences("w", without(3000, 4800), TIMES[-1]) == [Silence("w", 2995.0, 4800.0)]
-    assert silences("w", without(9000, np.inf), TIMES[-1]) == [Silence("w", 8995.0, TIMES[-1])]
+    assert silences([("w", TIMES)], TIMES, TIMES[-1]) == ()
+    assert silences([("w", without(3000, 4800))], TIMES, TIMES[-1]) == (Silence("w", 2995.0, 4800.0),)
+    assert silences([("w", without(9000, np.inf))], TIMES, TIMES[-1]) == (Silence("w", 8995.0, TIMES[-1]),)
+    assert silences([("w", without(3000, 4800))], without(2990, 4900), TIMES[-1]) == ()  # no sensor has a sample either
 
 
 def test_samples_that_are_lost_one_by_one_and_stamps_that_jitter_are_none():
     rng = np.random.default_rng(0)
     times = (TIMES + rng.uniform(-1, 1, len(TIMES)))[rng.random(len(TIMES)) > 0.1]
-    assert silences("w", times, times[-1]) == []
+    assert silences([("w", times)], TIMES, times[-1]) == ()
 
 
 def test_an_input_that_is_logged_when_it_changes_has_none():
@@ -33,7 +34,8 @@ def test_an_input_that_is_logged_when_it_changes_has_none():
         np.cumsum(rng.lognormal(3.0, 1.5, 300)),
         np.array([0.0, 4000.0]),
     ):
-        assert silences("valve", times, times[-1] + 5000.0) == []
+        end = times[-1] + 5000.0
+        assert silences([("valve", times)], np.arange(0.0, end, 5.0), end) == ()
 
 
 def test_each_input_has_a_note_on_its_longest_silence_that_matters():

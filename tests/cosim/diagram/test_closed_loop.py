@@ -625,3 +625,17 @@ def test_the_goal_of_a_controller_of_python_control_is_named(goal_names):
     assert "tracking of x" not in plain.summary()["errors"].index
     error = named.summary()["errors"].loc["tracking of x", "whole run"]
     assert error == pytest.approx(np.sqrt(np.mean((plain["plant.x"] - 1.0) ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ({"goal_names": 5}, "goal_names=5"),
+        ({"goal_names": ["x", "v"]}, "must be 1 name"),
+        ({"arrays": "yes"}, "arrays='yes'"),
+    ],
+)
+def test_wrong_settings_of_a_controller_of_python_control_are_refused(setting, said):
+    own = ss([], [], [], [[-2.0, -2.0, 2.0]], 0.1, inputs=["y[0]", "y[1]", "goal"], outputs=["u"])
+    with pytest.raises(cosim.ModelError, match=said):
+        cosim.StateSpace(own, **setting)

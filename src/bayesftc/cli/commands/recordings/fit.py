@@ -15,6 +15,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.cli.commands.fmus.inspect import find_fmu
 from bayesftc.cli.options import Json, Quiet, as_invalid, by_options
+from bayesftc.cosim.base.invalid import numbers_of, without_texts
 from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.table_files import read_table_file
 from bayesftc.cosim.errors import UnknownNameError, did_you_mean
@@ -171,8 +172,8 @@ def _without(invalid: Mapping[str, Sequence[float | str]], recording: Path, name
         cells = table[column]
         if cells.dtype.kind not in "fiub":
             with suppress(ValueError):  # of other texts, which the fit refuses
-                cells = pd.to_numeric(cells.mask(cells.astype(str).str.strip().isin(absent)))
-        table[column] = cells.mask(cells.isin(absent))
+                cells = pd.to_numeric(without_texts(cells, absent))
+        table[column] = cells.mask(cells.isin(numbers_of(absent)))
     return table
 
 
