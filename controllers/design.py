@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
 from typing import Any, Literal
@@ -68,6 +68,7 @@ def design(
     sensor_std: float | Sequence[float] = 0.01,
     sensor_bias: float | Sequence[float] = 0.0,
     noise: Mapping[str, float | Sequence[float]] | None = None,
+    loads: Mapping[str, Sequence[float]] | None = None,
     disturbance: Matrix | bool | None = None,
     acceptable_error: float | Sequence[float] = 0.1,
     acceptable_control: float | Sequence[float] | None = None,
@@ -102,8 +103,8 @@ def design(
         `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default, of a system of
-        python-control, all outputs, and all inputs without `noise`, or the only input. Of an FMU there is a default only if it
-        has a single output, or a single input without `noise`. Leave them out for a `LinearModel` or an `Identification`, which
+        python-control, all outputs, and all inputs that are not in `noise` or `loads`, or the only input. Of an FMU there is a
+        default only if it has a single output, or a single such input. Leave them out for a `LinearModel` or an `Identification`, which
         contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
@@ -126,20 +127,24 @@ def design(
     noise : mapping of input to number or vector, optional
         Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of a size: half the range
         between its limits; without limits `acceptable_control`; without this, too, its value at the operating point, at least 1.
-        The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is a state of the plant that such
-        noise drives. Noise that is given replaces the default: name a control as well if it has some (in `closed_loop`,
+        The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is one of the `loads`. Noise that is given replaces the default: name a control as well if it has some (in `closed_loop`,
         noise at a control needs a sum before the plant). Give the noise if you know it. If the plant moves far less at random
         than the default assumes, the belief follows the noise of the sensors: it is less accurate than its variance says, and
         equal sensors seem unequal.
         `describe()` prints the noise.
+    loads : mapping of input to (number, number), optional
+        Inputs at which unknown loads act that last, such as a gust, a draught or the temperature outside: the standard deviation
+        of the load, as a deviation from the operating point, and the time constant with which it changes, in seconds. Each
+        load becomes a state of the model, the output of a lag that noise drives. Choose the time constant much longer than the
+        load lasts: the model expects that the load fades, and what remains leaves a steady error. A load may act on outputs
+        directly (D), as on one that a sensor measures. For a load at a control that lasts for any time, give `disturbance`.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that is due to a load, or to a plant
         unlike the model; healthy sensors are then blamed far less. True: the standard deviation of the load's change in each
         sample is 1 % of `acceptable_control`, or else of half the range of the limits (chosen at sample times of 5 to 20 ms).
         With three or more sensors of a quantity this costs hardly anything. With two, it is then less certain which one drifts.
         What the model lacks elsewhere than at the control, such as behind a shaft, needs `noise` at an input of the plant that
-        acts there; without this noise, the sensors there are blamed. If a load there lasts, make it a state of the plant that the
-        noise drives.
+        acts there, or `loads` if it lasts; without these, the sensors there are blamed.
 
         `LinearModel.from_fmu` says more about `at`, `order`, `sensors`, `sensor_std`, `noise` and `disturbance`; only the default
         of `noise` differs. A `LinearModel` contains all of these but `disturbance`: leave them out if you give one.
@@ -217,6 +222,7 @@ def design(
             "order": order,
             "sensors": sensors,
             "noise": noise,
+            "loads": loads,
         }
         for name, value in determined.items():
             if value is not None:
@@ -230,10 +236,14 @@ def design(
             H = np.insert(H, [len(mean)] * (model.states - plant.states), 0.0, axis=1)
     else:
         check_plant(plant)
-        check_by_name(noise=noise, at=at)
+        check_by_name(noise=noise, at=at, loads=loads)
         plant = FMU(plant) if isinstance(plant, str | PathLike) else StateSpace(plant) if is_system(plant) else plant
         sensed = _without_choice(plant, "outputs") if measured is None else names_of(measured, "measured")
-        driven = _without_choice(plant, "inputs", noise or ()) if actuated is None else names_of(actuated, "actuated")
+        driven = (
+            _without_choice(plant, "inputs", {**(noise or {}), **(loads or {})})
+            if actuated is None
+            else names_of(actuated, "actuated")
+        )
         goals = sensed if goal is None else names_of(goal, "goal")  # type: ignore[arg-type]
         # Here and not below, because the linearisation may take seconds.
         into, out = _ports(plant, driven, list(dict.fromkeys([*sensed, *goals])), dt, at)
@@ -246,9 +256,8 @@ def design(
         with reported("Linearizing the plant, for some seconds."):
 
             def about(at: Mapping[str, Any]) -> Linearization:
-                return linearize(
-                    plant, measured=sensed, actuated=driven, others=goals, noise=noise, dt=dt, at=at, order=order
-                )
+                signals = {"measured": sensed, "actuated": driven, "others": goals, "noise": noise, "loads": loads}
+                return linearize(plant, **signals, dt=dt, at=at, order=order)  # type: ignore[arg-type]
 
             everywhere = isinstance(plant, StateSpace) and isinstance(plant.system, LinearSystem)
             linear = about(at or {}) if everywhere else _within_limits(about, at or {}, driven, (u_min, u_max))
@@ -297,7 +306,8 @@ def design(
     )
     warn_of_unused(
         model,
-        "Give disturbance=, for an unknown load on the control. Or, if another input moves what they measure, give its noise=. "
+        "Give disturbance=, for an unknown load on the control. Or, if another input moves what they measure, name it in noise= or "
+        "loads=. "
         "State true sizes: with sizes that are far too large, healthy sensors are blamed.",
     )
     if late is not model:
@@ -352,14 +362,15 @@ def _too_many_goals(goals: Sequence[str | int], controls: int) -> str:
 
 
 def _without_choice(
-    plant: FMU | StateSpace, side: Literal["inputs", "outputs"], others: Container[str] = ()
+    plant: FMU | StateSpace, side: Literal["inputs", "outputs"], others: Iterable[str] = ()
 ) -> list[str]:
     """Return all inputs or outputs of a plant but the `others`, or the only one; refuse several of an FMU.
 
     An FMU has them for many purposes.
     """
     names = [port.name for port in getattr(plant, side) if port.draw is None]
-    left = [name for name in names if name not in others] or (names if len(names) == 1 else [])
+    taken = [element for other in others for element in elements_of(other, names)]
+    left = [name for name in names if name not in taken] or (names if len(names) == 1 else [])
     if not left or (isinstance(plant, FMU) and len(left) > 1):
         known = f"{', '.join(names[:8])}{', ...' if len(names) > 8 else ''}" if names else "none"
         setting = "actuated" if side == "inputs" else "measured"

@@ -356,8 +356,8 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     size = f", about as by a standard deviation of {std:.2g} in each sample of {named_state}" if named_state else ""
     return (
         f"the plant is moved more at random than process_covariance says{size}. Say where that noise acts (noise in design and "
-        "in a scenario), or make process_covariance larger. For a load that lasts, noise alone is not enough: the guide 'How do "
-        "I get rid of a steady error?' says what to do."
+        "in a scenario), or make process_covariance larger. For a load that lasts, noise is not enough: name its input in loads "
+        "(of design, or of a scenario)."
     )
 
 
@@ -428,8 +428,8 @@ def _onset(
             f"{acts}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
             "them where they act. disturbance=True is for loads where a control acts. For others, the plant that you design for "
-            "needs an input where the load acts, with a lag behind it and with noise. Noise without a lag is not enough for a "
-            "load that stays. The guide 'How do I get rid of a steady error?' has an example."
+            "needs an input where the load acts: name it in loads=, with its standard deviation and time constant. noise= is not "
+            "enough for a load that stays. The guide 'How do I get rid of a steady error?' has an example."
         )
     changes = ", and then ".join(f"of a change of {change(load[2:], model, units)}" for load in loads)
     return (

@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
+from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.elementary import exponential
-from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.errors import ModelError, brief
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
 
@@ -35,6 +38,30 @@ def with_loads(model: LinearModel, covariance: Matrix, controls: Sequence[int] |
     walk = as_covariance("The disturbance's covariance", covariance, p)
     first = model.states - model.disturbances
     return _with_states(model, first, np.eye(p), model.effects[:, chosen], np.zeros((m, p)), walk)
+
+
+def lag_of(name: str, load: Sequence[float], step: Fraction) -> tuple[float, float]:
+    """Return what remains of a load after a sample, and the variance of its change, from (standard deviation, time constant).
+
+    Raises
+    ------
+    ModelError
+        If these are not two positive numbers, or the time constant is so short that the load is white noise.
+    """
+    if np.shape(load) != (2,):
+        raise ModelError(
+            f"loads has {name} = {brief(load)}; give two numbers, its standard deviation and its time constant in seconds: "
+            f"loads={{'{name}': (0.02, 5.0)}}."
+        )
+    std = as_number(f"The load {name} has the standard deviation", load[0], above=0)
+    time = as_number(f"The load {name} has the time constant", load[1], above=0)
+    if time < float(step):
+        raise ModelError(
+            f"The load {name} has the time constant {time:g} s, but the sample time is {show(step)} s. What changes faster than "
+            f"the samples is white noise: noise={{'{name}': {std:g}}}."
+        )
+    keep = exponential(-float(step) / time)
+    return keep, std**2 * (1.0 - keep**2)
 
 
 def loads_of(model: LinearModel) -> list[int]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from bayesftc.controllers.models.checks import LARGEST, Matrix, as_number
 from bayesftc.controllers.models.differences import derivative
+from bayesftc.controllers.models.disturbances import lag_of
 from bayesftc.controllers.models.fmu.ports import fmu_ports
 from bayesftc.controllers.models.integrators import without_integrators
 from bayesftc.controllers.models.linear import LinearModel, SignalNames
@@ -82,6 +83,10 @@ class Linearization:
         Names of the states; empty if they have none.
     held : tuple of (str, float)
         Inputs whose value at the operating point was given, with that value.
+    D : ndarray or None
+        Direct effect of the inputs on the outputs; None if there is none.
+    loads : ndarray
+        Variances of the changes of loads in one sample; the loads are the last states.
     """
 
     A: Floats
@@ -97,6 +102,8 @@ class Linearization:
     following: Floats | None = None
     states: tuple[str, ...] = ()
     held: tuple[tuple[str, float], ...] = ()
+    D: Floats | None = None
+    loads: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         # Algorithms of linear algebra fail on such numbers with errors that do not name the plant.
@@ -121,6 +128,25 @@ class Linearization:
             start=start,
             following=following,
             states=_kept(self.states, quotient.rows),
+        )
+
+    def with_loads(self, loads: Mapping[str, Sequence[float]]) -> Linearization:
+        """Return the linearisation with loads at inputs as further states: lags that noise drives, each (std, time constant)."""
+        lags = {j: lag_of(name, pair, self.step) for name, pair in loads.items() for j in self.columns([name])}
+        columns, n, k = list(lags), len(self.A), len(lags)
+        keep, changes = np.array(list(lags.values())).T
+        names = [self.inputs[j] for j in columns]
+        states = self.states or tuple(f"x[{i}]" for i in range(n))
+        return replace(
+            self,
+            A=np.block([[self.A, self.B[:, columns]], [np.zeros((k, n)), np.diag(keep)]]),
+            B=np.vstack([self.B, np.zeros((k, len(self.inputs)))]),
+            C=np.hstack([self.C, np.zeros((len(self.C), k)) if self.D is None else self.D[:, columns]]),
+            x=np.append(self.x, np.zeros(k)),
+            start=np.append(self.start, np.zeros(k)),
+            following=None if self.following is None else np.append(self.following, np.zeros(k)),
+            states=(*states, *(f"load {name}" if name in states else name for name in names)),
+            loads=tuple(changes),
         )
 
     def rows(self, names: Sequence[str]) -> list[int]:
@@ -161,7 +187,9 @@ class Linearization:
         return replace(model, held_inputs=tuple(pair for pair in self.held if pair[0] not in actuated_names))
 
     def _noise(self, actuated: Sequence[int], noise: Mapping[str, float | Sequence[float]] | None) -> Floats:
-        return covariance_by_inputs(self.B, self.u, self.inputs, actuated, noise)
+        first = len(self.A) - len(self.loads)
+        of_loads = np.diag([*np.zeros(first), *self.loads])
+        return covariance_by_inputs(self.B, self.u, self.inputs, actuated, noise) + of_loads
 
 
 def covariance_by_inputs(
@@ -189,29 +217,42 @@ def linearize(
     actuated: Names,
     others: Names = (),
     noise: Mapping[str, float | Sequence[float]] | None = None,
+    loads: Mapping[str, Sequence[float]] | None = None,
     dt: float | str | Fraction | None = None,
     at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
 ) -> Linearization:
     """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones."""
-    check_by_name(noise=noise, at=at)
+    check_by_name(noise=noise, at=at, loads=loads)
     driven = names_of(actuated, "actuated")
-    inputs = list(dict.fromkeys([*driven, *(noise or {})]))
+    inputs = list(dict.fromkeys([*driven, *(noise or {}), *(loads or {})]))
     outputs = list(dict.fromkeys([*names_of(measured, "measured"), *([others] if isinstance(others, str) else others)]))
     if isinstance(plant, str | PathLike):
         plant = FMU(plant)
     if isinstance(plant, FMU):
-        return _of_fmu(plant, (inputs, driven), outputs, dt, at or {}, order).seen()
+        return _seen(_of_fmu(plant, (inputs, driven), outputs, dt, at or {}, order), loads or {})
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     states = _state_names(block.system, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
-        return replace(_of_nonlinear(block, (inputs, driven), outputs, dt, at or {}), states=states).seen()
-    return replace(
-        _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {}), states=states
-    ).seen()
+        linear = _of_nonlinear(block, (inputs, driven), outputs, dt, at or {})
+    else:
+        linear = _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {})
+    return _seen(replace(linear, states=states), loads or {})
+
+
+def _seen(linear: Linearization, loads: Mapping[str, Sequence[float]]) -> Linearization:
+    """Return the linearisation without what no output sees, and with loads; only these may act on an output directly."""
+    if linear.D is not None and np.delete(linear.D, linear.columns(list(loads)), axis=1).any():
+        raise ModelError(
+            "An output depends directly on an input (D is not 0, a relative degree of 0), which the model y = C x cannot "
+            "represent. Measure another output. If the input is a load, such as a gust, name it in loads=, in place of noise=. "
+            "If it is the control, put a lag before it: in the plant itself, in its matrices or its FMU, because a block before "
+            "the plant is not seen here."
+        )
+    return linear.seen().with_loads(loads) if loads else linear.seen()
 
 
 def _state_names(system: Any, states: int) -> tuple[str, ...]:
@@ -308,9 +349,8 @@ def _of_linear(
     step = _step(system.dt, dt)
     if system.dt == 0:
         a, b = _sampled(a, b, step)
-    _refuse_direct(d[np.ix_(rows, columns)])
     zeros = np.zeros(len(a)), np.zeros(len(columns)), np.zeros(len(rows))
-    return Linearization(a, b[:, columns], c[rows], *zeros, start, into, out, step)
+    return Linearization(a, b[:, columns], c[rows], *zeros, start, into, out, step, D=d[np.ix_(rows, columns)])
 
 
 def _of_nonlinear(
@@ -341,13 +381,10 @@ def _of_nonlinear(
     step = _step(system.dt, dt)
     if system.dt == 0:
         a, b = _sampled(a, b, step)
-    _refuse_direct(d[np.ix_(rows, columns)])
     following = None if rate is None else x + rate * (float(step) if system.dt == 0 else 1.0)
-    start = np.array(block.initial)
-    held = _held(known_inputs, at)
-    return Linearization(
-        a, b[:, columns], c[rows], x, u[columns], y[rows], start, into, out, step, following, held=held
-    )
+    point = x, u[columns], y[rows], np.array(block.initial)
+    held, direct = _held(known_inputs, at), d[np.ix_(rows, columns)]
+    return Linearization(a, b[:, columns], c[rows], *point, into, out, step, following, held=held, D=direct)
 
 
 def _step(default_step: float | None, dt: float | str | Fraction | None) -> Fraction:
@@ -430,11 +467,10 @@ def _of_equations(
         x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
         a, b, c, d = model.jacobians(x, u)
         y, start, states = model.outputs(x, u), model.x0, model.state_names
-    _refuse_direct(d[np.ix_(rows, columns)])
     A, B = _sampled(a, b, step)
     following = None if rate is None else x + float(step) * rate
-    point = x, u[columns], y[rows], start
-    return Linearization(A, B[:, columns], c[rows], *point, inputs, outputs, step, following, states)
+    point, direct = (x, u[columns], y[rows], start), d[np.ix_(rows, columns)]
+    return Linearization(A, B[:, columns], c[rows], *point, inputs, outputs, step, following, states, D=direct)
 
 
 def _free(actuated: Sequence[str], inputs: Sequence[str], at: Mapping[str, Any]) -> list[int]:
@@ -539,13 +575,4 @@ def _refuse_huge(name: str, array: Floats, step: Fraction | None = None) -> None
         raise ModelError(
             f"{_QUANTITIES[name]} of the plant{sampled} has the entry {entry:.3g}; at most {LARGEST:g} is allowed. Check its "
             f"equations, {'give a smaller dt=..., ' if sampled else ''}{remedy}."
-        )
-
-
-def _refuse_direct(D: Floats) -> None:
-    if np.any(D != 0):
-        raise ModelError(
-            "An output depends directly on an input (D is not 0, a relative degree of 0), which the model y = C x cannot "
-            "represent. Measure another output, or put a lag before the input: a gust, too, is a state that white noise drives. "
-            "The lag must be in the plant itself, in its matrices or its FMU: a block before the plant is not seen here."
         )

@@ -20,7 +20,10 @@ def check_by_name(**given: object) -> None:
     """Refuse values of inputs that are not given by name."""
     for name, value in given.items():
         if not isinstance(value, Mapping | None):
-            raise ModelError(f"{name} is {value!r}; give a number for each input by name, as {name}={{'load': 0.02}}.")
+            what, example = ("two numbers", "(0.02, 5.0)") if name == "loads" else ("a number", "0.02")
+            raise ModelError(
+                f"{name} is {value!r}; give {what} for each input by name, as {name}={{'load': {example}}}."
+            )
 
 
 def names_of(given: Names, kind: str) -> list[str]:
