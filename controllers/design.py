@@ -103,9 +103,9 @@ def design(
         `Identification` also columns, or the quantities that it was given.
     measured, actuated : str or sequence of str
         Names of the outputs that sensors measure, and of the inputs that the controller drives. By default, of a system of
-        python-control, all outputs, and all inputs that are not in `noise` or `loads`, or the only input. Of an FMU there is a
-        default only if it has a single output, or a single such input. Leave them out for a `LinearModel` or an `Identification`, which
-        contains them.
+        python-control, all outputs, and all inputs that are not in `noise` or `loads`, or the only input. Of an FMU there is
+        a default only if it has a single output, or a single such input. Leave them out for a `LinearModel` or an
+        `Identification`, which contains them.
     dt : float, str or Fraction, optional
         Sample time in seconds; by default the one of the model or the FMU.
     at : mapping of input to number or vector, optional
@@ -125,13 +125,13 @@ def design(
         controller estimates the offsets. Of several sensors of a quantity, at least one must have no offset, unless a sensor of
         another quantity shows their common offset (a compass that of gyros). See `LinearModel.with_sensor_errors`.
     noise : mapping of input to number or vector, optional
-        Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of a size: half the range
-        between its limits; without limits `acceptable_control`; without this, too, its value at the operating point, at least 1.
-        The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is one of the `loads`. Noise that is given replaces the default: name a control as well if it has some (in `closed_loop`,
-        noise at a control needs a sum before the plant). Give the noise if you know it. If the plant moves far less at random
-        than the default assumes, the belief follows the noise of the sensors: it is less accurate than its variance says, and
-        equal sensors seem unequal.
-        `describe()` prints the noise.
+        Inputs at which process noise acts, and its standard deviations. By default each control has 5 % of a size: half the
+        range between its limits; without limits `acceptable_control`; without this, too, its value at the operating point,
+        at least 1. The noise is white: a new value in each sample. A disturbance that lasts, as a gust, is one of the
+        `loads`. Noise that is given replaces the default: name a control as well if it has some (in `closed_loop`, noise at
+        a control needs a sum before the plant). Give the noise if you know it. If the plant moves far less at random than
+        the default assumes, the belief follows the noise of the sensors: it is less accurate than its variance says, and
+        equal sensors seem unequal. `describe()` prints the noise.
     loads : mapping of input to (number, number), optional
         Inputs at which unknown loads act that last, such as a gust, a draught or the temperature outside: the standard deviation
         of the load, as a deviation from the operating point, and the time constant with which it changes, in seconds. Each
@@ -306,9 +306,8 @@ def design(
     )
     warn_of_unused(
         model,
-        "Give disturbance=, for an unknown load on the control. Or, if another input moves what they measure, name it in noise= or "
-        "loads=. "
-        "State true sizes: with sizes that are far too large, healthy sensors are blamed.",
+        "Give disturbance=, for an unknown load on the control. Or, if another input moves what they measure, name it in noise= "
+        "or loads=. State true sizes: with sizes that are far too large, healthy sensors are blamed.",
     )
     if late is not model:
         model, H = late, extended_rows(late, H)

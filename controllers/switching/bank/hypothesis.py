@@ -192,14 +192,15 @@ def blend_healthy(memory, at, part, first, width, spans):
             memory[weight] = maximum((1.0 - part) * memory[weight], LEAST)
 
 
-def inflate(memory, at, n, plant, more, fades, Q):
+def inflate(memory, at, n, plant, more, fades, Q, settings, most):
     """Increase the covariance of the plant's states, the first ones, in a hypothesis.
 
-    It grows by the part ``fades`` of itself, and then by ``more`` times the process noise.
+    It grows by the part ``fades`` of itself, and then by ``more`` times the process noise. A state whose variance has reached
+    its value in ``settings`` from ``most`` on does not fade.
     """
     P, N = at + STATE + n + 2, n + 2
-    grows = sqrt(1.0 + fades)
     for a in range(plant):
+        grows = select(memory[P + a * N + a] < settings[most + a], sqrt(1.0 + fades), 1.0)
         for b in range(n):
             memory[P + a * N + b] = memory[P + a * N + b] * grows
             memory[P + b * N + a] = memory[P + b * N + a] * grows

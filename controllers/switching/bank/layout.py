@@ -227,6 +227,11 @@ class Layout:
         return self.elsewhere + self.n * self.m
 
     @property
+    def most(self) -> int:
+        """Place in the settings of the variance of each state up to which a belief fades."""
+        return self.unread + self.n
+
+    @property
     def actuator(self) -> int:
         """Number of stored values of an actuator."""
         return OF_MODES + 2 * self.actuator_modes

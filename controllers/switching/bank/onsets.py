@@ -87,6 +87,7 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
     groups, firsts = len(layout.groups), tuple(group[0] for group in layout.groups) or (0,)
     kick = layout.process_settings + layout.kick * PROCESS_SETTINGS
     of_actuators, of_process, receive = layout.actuator_settings, layout.process_settings, make_receive(layout)
+    most = layout.most
     gather, receive_new, joined = make_gather(layout), make_receive_new(layout), layout.joined or (False,)
     any_joined = any(joined)
 
@@ -168,7 +169,7 @@ def make_merge_onsets(layout: Layout) -> Callable[..., None]:
             part = incoming / (memory[at] + incoming)
             receive_new(memory, at, incoming, 0.0, 0.0)
             fades = part * sampled * settings[mode_row + FADES] * measurable(memory, at, n, C, nominal)
-            inflate(memory, at, n, plant, part * settings[mode_row + MORE], fades, Q)
+            inflate(memory, at, n, plant, part * settings[mode_row + MORE], fades, Q, settings, most)
         return stays
 
     def merge_pool(C, nominal, memory, stays, left):

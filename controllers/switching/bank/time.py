@@ -307,6 +307,7 @@ def make_move_process(layout: Layout, pass_sensor: Callable[..., None]) -> Calla
     process = layout.process
     none, stride, places = layout.first, layout.length, Places(layout.couples, layout.shift, layout.scratch)
     of_process, settle, receive = layout.process_settings, make_settle(layout), make_receive(layout)
+    most = layout.most
 
     def move_process(e, present, sampled, C, nominal, moving, memory, settings):
         for q in range(H - process):
@@ -323,6 +324,6 @@ def make_move_process(layout: Layout, pass_sensor: Callable[..., None]) -> Calla
                 memory[at] = maximum(memory[at] - ended, LEAST)
                 receive(memory, after, ended, at, -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 fades = sampled * settings[mode_row + FADES] * measurable(memory, at, n, C, nominal)
-                inflate(memory, at, n, plant, settings[mode_row + MORE], fades, moving.Q)
+                inflate(memory, at, n, plant, settings[mode_row + MORE], fades, moving.Q, settings, most)
 
     return move_process
