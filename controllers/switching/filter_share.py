@@ -1,4 +1,4 @@
-"""What a model's steady filter says of its states: the speed with which it follows the sensors, and how far a belief may fade."""
+"""The speed with which a model's filter follows the sensors."""
 
 from __future__ import annotations
 
@@ -10,15 +10,9 @@ import numpy as np
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.types import Floats
 
 STEPS = 2000
 """Largest number of recursions without a steady state; the share of a state without noise decreases for ever."""
-
-FADED = 1e4
-"""Largest variance of a state, in units of the steady filter's, up to which a belief fades. A slow state that no sensor reads,
-such as the temperature of a wall, would reach any variance before it counts in a reading, and even a tiny probability of that
-belief would spoil the estimate."""
 
 
 @lru_cache(maxsize=512)
@@ -50,18 +44,4 @@ def filter_share(model: LinearModel) -> float:
     return share
 
 
-def most_variances(model: LinearModel) -> Floats:
-    """Return the variance of each state up to which a belief fades: `FADED` times that of the steady filter's predictions.
-
-    Infinite for states without a steady variance, or without any.
-    """
-    most = np.full(model.states, inf)
-    try:
-        usual = np.diag(steady_covariance(model.moving))
-    except ModelError:
-        return most
-    most[: len(usual)] = np.where(usual > 0.0, FADED * usual, inf)
-    return most
-
-
-__all__ = ["filter_share", "most_variances"]
+__all__ = ["filter_share"]
