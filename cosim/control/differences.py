@@ -41,7 +41,8 @@ def slopes(f: Callable[[Floats], Floats], at: Floats) -> tuple[Floats, bool]:
     tried for each element. The step counts that differs least from the next larger one, rounding included. Steps that are larger
     than the range in which the function is smooth do not count: there slope or bend grow as the step shrinks. A step at which the
     function cannot be evaluated does not count either; without any other the derivative is NaN. A feature that is narrow beside
-    the larger steps, and small beside a straight line that these see, may be missed.
+    the larger steps, and small beside a straight line that these see, may be missed: also a dead band of less than a hundredth of
+    the largest step.
     """
     here = np.asarray(f(at), dtype=np.float64)
     whole, kink = np.full((len(here), len(at)), np.nan), False
@@ -72,7 +73,7 @@ def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> t
     """Return the derivative by one element, and where the function has a kink or a jump."""
     rows = len(here)
     chosen, least, kinks = np.full(rows, np.nan), np.full(rows, np.inf), np.zeros(rows, bool)
-    lost, steepest = np.zeros(rows, bool), np.zeros(rows)
+    lost, agree, steepest = np.zeros(rows, bool), np.zeros(rows, bool), np.zeros(rows)
     before: tuple[Floats, Floats] | None = None
     for size in _steps(abs(float(at[j]))):
         above, below = (_value(f, at, j, sign * size) for sign in (1.0, -1.0))
@@ -84,7 +85,15 @@ def _slope(f: Callable[[Floats], Floats], at: Floats, j: int, here: Floats) -> t
         if before is None:
             noise = MOST * np.maximum(np.abs(above - here), np.abs(below - here))
         else:
-            lost |= (slope == 0) & (before[0] != 0) & (bend <= rounding)  # the step is too small to have an effect
+            none = (slope == 0) & (before[0] != 0) & (bend <= rounding) & ~lost  # a step without an effect
+            lost |= none
+            # Rounding hides the effect, or the function is flat, unless larger steps agree: then it has steps, as an encoder.
+            hidden = np.abs(before[0]) <= np.maximum(noise / step, ABOVE * rounding)
+            only = none & hidden & np.isnan(chosen)
+            flat = none & ~hidden & ~agree
+            chosen[only], chosen[flat], kinks[flat] = before[0][only], 0.0, False
+            least[only | flat] = rounding[only | flat]
+            agree |= (np.abs(slope - before[0]) <= BENDS * np.abs(slope)) & (slope != 0)
             grown = _grown(slope, bend, before, np.maximum(noise / step, ABOVE * rounding)) & ~lost
             error = np.where(grown, np.inf, np.abs(slope - before[0]) + rounding)
             least[grown] = np.inf  # the steps before do not count, unless there is no smaller one, as beside a jump

@@ -67,6 +67,36 @@ def test_a_jump_is_said_and_a_number_that_is_missing_has_no_effect():
     np.testing.assert_allclose(found, [[6.0, 0.0], [0.0, 0.0]], rtol=1e-9)
 
 
+@pytest.mark.parametrize("width", [0.3, 0.05, 5e-3, 1e-3])
+@pytest.mark.parametrize("offset", [0.0, 1e3, -1e6])
+def test_a_function_is_flat_within_a_dead_band(width, offset):
+    """The larger steps leave it, and the derivative was NaN."""
+
+    def f(z):
+        beyond = z[0] - np.clip(z[0], -width, width)
+        return np.array([beyond, beyond / 25.0 + offset, 3.0 * z[0]])
+
+    for place in (0.0, 0.4 * width, -0.9 * width):
+        found, kink = slopes(f, np.array([place]))
+        np.testing.assert_allclose(found[:, 0], [0.0, 0.0, 3.0], rtol=1e-9)
+        assert not kink
+
+
+@pytest.mark.parametrize("x", [0.0, 0.123456, -1.7])
+@pytest.mark.parametrize("round_off", [lambda f: np.round(f, 4), lambda f: np.float32(f + 1e3)])
+def test_the_slope_of_a_function_in_steps_is_that_over_many_of_them(round_off, x):
+    """An encoder, and an FMU that computes with single precision, are no dead bands."""
+    found, _ = slopes(lambda z: np.array([float(round_off(2.0 * z[0]))]), np.array([x]))
+    assert found[0, 0] == pytest.approx(2.0, rel=0.05)
+
+
+@given(st.floats(0, 12), st.floats(-100, 100))
+def test_a_derivative_is_finite_where_rounding_hides_the_effect_of_most_steps(decade, x):
+    large = 10.0**decade
+    found, _ = slopes(lambda z: np.array([(z[0] + large) - z[0]]), np.array([x]))
+    assert abs(found[0, 0]) <= 1e-13 * (large + abs(x)) / 0.1
+
+
 @pytest.mark.parametrize("gap", [6e-3, 1e-4, 2e-6])
 def test_a_small_state_has_the_model_and_the_loop_of_its_equations(gap, recwarn):
     plant, A, B = ball(gap)
