@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from math import ceil
@@ -137,7 +136,7 @@ class ExponentialFilter(SameUnit):
     """
 
     result: ClassVar[str] = "The filtered signal"
-    running: ClassVar[Mapping[str, float]] = {"begun": 1.0}
+    settling: ClassVar[tuple[str, ...]] = ("x", "begun")
     """States once samples have come, about which a loop is linearized."""
 
     time_constant: float
@@ -191,7 +190,7 @@ class MovingAverage(SameUnit):
     """
 
     result: ClassVar[str] = "The mean of the window"
-    running: ClassVar[Mapping[str, float]] = {"window": 0.0}
+    settling: ClassVar[tuple[str, ...]] = ("window",)
 
     samples: int
     size: int = 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal, NamedTuple
@@ -10,8 +10,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, normalised
 from bayesftc.cosim.blocks.state_space import StateSpace
+from bayesftc.cosim.control.beginning import first_values, listed, start_values, without_effect
 from bayesftc.cosim.control.differences import equations, parted, slopes
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
@@ -110,10 +112,10 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     node, measured = _measured(diagram, sensors)
     driven = _driven(diagram, node, controller)
     step = diagram.step * controller.every
-    linear, start = (
-        (_of_system(plant, step, rows), np.zeros(len(measured)))
+    linear = (
+        _of_system(plant, step, rows)
         if plant is not None
-        else _of_block(diagram, node, driven, measured, step, _operating_point(controller))
+        else _of_block(diagram, node, driven, measured, step, _plant_inputs(diagram, node, driven, controller))
     )
     p, q = len(driven), len(measured)
     if linear.D.shape != (q, p):
@@ -121,11 +123,12 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
             f"plant= has {linear.D.shape[1]} inputs and {linear.D.shape[0]} outputs, but the loop has {p} controls and {q} "
             "measured signals. Give a system with an input for each control and an output for each measured signal."
         )
-    law = _law(diagram, controller, rows @ start)
+    names = tuple(element_name(port, i) for port, i in driven)
+    _check_plant(node.name, linear, names)
+    law = _law(diagram, controller, sensors, names)
     if plant is None:
         linear = _late(linear, [_samples(diagram, node, *element, step) for element in driven])
         law = _late(law, [_samples(diagram, controller, y, i, step) for i in range(y.size)])
-    names = tuple(element_name(port, i) for port, i in driven)
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
     quantities = find_roles(diagram).quantities
     tracked = {
@@ -188,11 +191,20 @@ def _samples(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -
 # --- Linearize the parts ---------------------------------------------------------------------------------------------
 
 
-def _operating_point(controller: Node) -> tuple[Floats, Mapping[str, float]]:
-    """Return the controls at the operating point of the controller's model, none if it has none, and its other inputs there."""
-    model = getattr(controller.block, "model", None)
-    at = getattr(model, "operating_control", None)
-    return np.asarray(() if at is None else at, dtype=np.float64), dict(getattr(model, "held_inputs", ()))
+def _plant_inputs(diagram: Diagram, node: Node, driven: Sequence[Element], controller: Node) -> Floats:
+    """Return the inputs of the plant, linearized there: at the operating point of the controller's model, if it has one.
+
+    Otherwise a controller with a model begins at the start values of the plant's inputs, and another one at its first controls.
+    """
+    ports = _inputs(node)
+    elements, model = [(port, i) for port in ports for i in range(port.size)], getattr(controller.block, "model", None)
+    if model is None:
+        return first_values(diagram, [(node, *element) for element in elements])
+    others = dict(getattr(model, "held_inputs", ()))
+    u = np.array([others.get(element_name(port, i), start_values(port)[i]) for port, i in elements], dtype=np.float64)
+    if (control := getattr(model, "operating_control", None)) is not None and len(control) == len(driven):
+        u[[elements.index(element) for element in driven]] = control
+    return u
 
 
 def _of_block(
@@ -201,46 +213,33 @@ def _of_block(
     driven: Sequence[Element],
     measured: Sequence[Element],
     step: Fraction,
-    at: tuple[Floats, Mapping[str, float]],
-) -> tuple[Matrices, Floats]:
-    """Return the plant from controls to measured signals, linearized at its start values, and these signals there.
-
-    Controls and other inputs in `at` have these values in place of the start values of the plant's inputs.
-    """
+    u: Floats,
+) -> Matrices:
+    """Return the plant from controls to measured signals, linearized at its start values with the inputs `u`."""
     block: Any = node.block
     plant_step, ports = diagram.step * node.every, _inputs(node)
     inputs, outputs = _elements(ports), _elements(block.outputs)
     columns = [inputs.index((port.name, i)) for port, i in driven]
     lines = [outputs.index((port.name, i)) for port, i in measured]
-    u = np.concatenate([np.zeros(0), *map(_defaults, ports)])
-    control, others = at
-    for k, (name, i) in enumerate(inputs):
-        u[k] = others.get(element_name(node.port(name), i), u[k])
-    if len(control) == len(columns):
-        u[columns] = control
     if isinstance(block, StateSpace) and isinstance(block.system, LinearSystem):
         a, b, c, d = block.system.matrices()
-        y = c @ np.asarray(block.initial) + d @ u
         if block.system.dt == 0:
             a, b = held(a, b, float(plant_step))
     elif isinstance(block, StateSpace):  # its equations, rather than steps of its solver
         x, both = np.array(block.initial, dtype=np.float64), equations(block)
         point = np.concatenate([x, u])
         a, b, c, d = parted(slopes(both, point)[0], len(x))
-        y = both(point)[len(x) :]
         if block.system.dt == 0:
             a, b = held(a, b, float(plant_step))
     elif isinstance(block, FMU) and block.kind == "model exchange":
         with ModelEquations(block) as model:
             a, b, c, d = model.jacobians(model.x0, u)
-            y = model.outputs(model.x0, u)
         a, b = held(a, b, float(plant_step))
     else:
         system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
             raise ModelError(_hidden(node, driven, measured, step))
-        x = _running_state(diagram, node, system)
-        linear, y = system.linearize(x, u), system.output(0.0, x, u)
+        linear = system.linearize(_settled_state(diagram, node, system, u), u)
         a, b, c, d = linear.A, linear.B, linear.C, linear.D
     ratio = step / plant_step
     if ratio.denominator != 1:
@@ -249,7 +248,7 @@ def _of_block(
             "loop is not a linear system with a constant step. Run the controller as often as the plant."
         )
     a, b = _repeated(a, b, int(ratio))
-    return _moving(Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)])), np.asarray(y)[lines]
+    return _moving(Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]))
 
 
 def _moving(plant: Matrices) -> Matrices:
@@ -321,24 +320,25 @@ def _system(
     return part.to_control(inputs=whole[0], outputs=whole[1], seed=None, engine=engine)
 
 
-def _running_state(diagram: Diagram, node: Node, system: Any) -> Floats:
-    """Return the initial state of a block or a subsystem, with filters that have had samples: the first one passes unfiltered."""
+def _settled_state(diagram: Diagram, node: Node, system: Any, u: Floats) -> Floats:
+    """Return the initial state of a block or a subsystem, with filters that have had many samples."""
     x = np.array(system.initial_state)
     parts = part_of(diagram, [node.name]).nodes if isinstance(node.block, Boundary) else (node,)
-    names = [label.partition("[")[0] for label in system.state_labels]
-    for part in parts:
-        for state, value in getattr(part.block, "running", {}).items():
-            own = state if part is node else f"{part.name.replace('.', '_')}_{state}"
-            x[[i for i, name in enumerate(names) if name == own]] = value
+    own = {
+        state if part is node else f"{part.name.replace('.', '_')}_{state}"
+        for part in parts
+        for state in getattr(part.block, "settling", ())
+    }
+    places = [i for i, label in enumerate(system.state_labels) if label.partition("[")[0] in own]
+    for _ in places:  # no filter settles later: a window has as many numbers as it needs samples
+        before, x[places] = x[places], system.dynamics(0.0, x, u)[places]
+        if np.array_equal(x[places], before):
+            break
     return x
 
 
 def _elements(ports: Iterable[Port]) -> list[tuple[str, int]]:
     return [(port.name, i) for port in ports for i in range(port.size)]
-
-
-def _defaults(port: Port) -> Floats:
-    return np.broadcast_to(0.0 if port.default is None else port.default, port.shape).ravel().astype(np.float64)
 
 
 def _repeated(a: Floats, b: Floats, times: int) -> tuple[Floats, Floats]:
@@ -367,19 +367,56 @@ def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
     return Matrices(a, b, c, d)
 
 
-def _law(diagram: Diagram, node: Node, y: Floats) -> Matrices:
-    """Return the controller: by its method ``linear_law``, else linearized at its initial state with the input `y`."""
+def _law(diagram: Diagram, node: Node, sensors: Node, names: Sequence[str]) -> Matrices:
+    """Return the controller of the named controls: by its method ``linear_law``, else linearized at its first inputs.
+
+    A controller that says which goal belongs to which state has the goal at which the plant stands, others the first reference.
+    """
     block = node.block
     if hasattr(block, "linear_law"):
         return Matrices(*block.linear_law())
-    system = _system(diagram, node, ["y", "goal"], ["u"], "interpreted")
-    goal = np.zeros(block.port("goal").size)
+    signals, samples, goals = sensors.port("u"), node.port("y"), node.port("goal")
+    others = [port for port in _inputs(node) if port.name not in {"y", "goal"}]
+    places = [(sensors, signals, i) for i in range(signals.size)]
+    places += [(node, port, i) for port in (goals, *others) for i in range(port.size)]
+    seen, goal, rest = np.split(first_values(diagram, places), [signals.size, signals.size + goals.size])
+    y = sensors.block.rows @ seen  # type: ignore[attr-defined]
     C, G = (getattr(block, name, None) for name in ("measurement_matrix", "goal_matrix"))
     if C is not None and G is not None and np.isfinite(C).all():
         goal = G @ np.linalg.lstsq(C, y)[0]
-    linear = system.linearize(_running_state(diagram, node, system), np.concatenate([y, goal]))
-    A, B, C, D = linear.A, linear.B, linear.C, linear.D
+    system = _system(diagram, node, ["y", "goal", *(port.name for port in others)], ["u"], "interpreted")
+    u = np.concatenate([y, goal, rest])
+    linear = system.linearize(_settled_state(diagram, node, system, u), u)
+    m, p = samples.size, samples.size + goals.size
+    A, B, C, D = linear.A, linear.B[:, :p], linear.C, linear.D[:, :p]
+    idle = [name for j, name in enumerate(names) if without_effect(A, B[:, :m], C[[j]], D[[j], :m])]
+    if idle:
+        warn_user(
+            f"Where the loop begins, at y = {listed(y)} and goal = {listed(goal)}, the controller {node.name!r} has no feedback: "
+            f"its control {' and '.join(idle)} does not depend on y, probably because it is at its limit. {_NO_FEEDBACK} Begin "
+            "elsewhere (start values of the plant, reference), or linearize the controller without its limits."
+        )
     keep = np.abs(C).max(axis=0, initial=0.0) > NO_INFLUENCE
     while (more := keep | (np.abs(A[keep]).max(axis=0, initial=0.0) > NO_INFLUENCE)).sum() > keep.sum():
         keep = more
     return Matrices(A[np.ix_(keep, keep)], B[keep], C[:, keep], D)
+
+
+def _check_plant(title: str, plant: Matrices, names: Sequence[str]) -> None:
+    """Refuse derivatives that are missing, and warn of controls without an effect on the plant."""
+    if not all(np.isfinite(matrix).all() for matrix in plant):
+        raise ModelError(
+            f"The plant {title!r} cannot be linearized at its start values: its equations cannot be evaluated near them, or "
+            "have no finite derivative there, as a root at zero. Give other start values, or a linear model: "
+            "loop.linear(plant=system)."
+        )
+    A, B, C, D = plant
+    idle = [name for j, name in enumerate(names) if without_effect(A, B[:, [j]], C, D[:, [j]])]
+    if idle:
+        warn_user(
+            f"Where the plant {title!r} begins, {' and '.join(idle)} has no effect on its measured signals, as within a dead "
+            f"band or beyond a limit. {_NO_FEEDBACK} Give other start values, or a linear model: loop.linear(plant=system)."
+        )
+
+
+_NO_FEEDBACK = "So poles, margins and step response are those without feedback, and an infinite margin says nothing."

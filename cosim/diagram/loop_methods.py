@@ -19,8 +19,9 @@ class LoopMethods:
 
         The loop has no faults, no noise and no limits of the control. The plant is linearized at its start values, with the
         controls of the operating point of the controller's model, if it has one. A Bayesian controller with a linear model is
-        in steady state, with the sensor covariance of its model. Any other controller is linearized at its initial state, with
-        its precision learner stopped.
+        in steady state, with the sensor covariance of its model. Any other controller is linearized at its initial state and at
+        the samples and the reference of the first step, with its precision learner stopped. If it has no ``model``, the inputs of
+        the plant are those of the first step as well.
 
         Parameters
         ----------
@@ -32,6 +33,11 @@ class LoopMethods:
         ------
         ModelError
             If the diagram is not a closed loop of one plant, one block of sensors and one controller, or cannot be linearized.
+
+        Warns
+        -----
+        UserWarning
+            If a control has no effect on the plant where the loop begins, or does not depend on the samples there, as at a limit.
 
         Examples
         --------

@@ -219,10 +219,15 @@ def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tu
 
     A subsystem counts as one block.
     """
-    for origin, i in _upstream(diagram, node, port, element):
-        if not isinstance(origin.node.block, Fault):
-            return origin.node, origin.port, i
-    return None
+    found = healthy_origin(diagram, node, port, element)
+    return None if found is None else (found[0].node, found[0].port, found[1])
+
+
+def healthy_origin(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
+    """Return the port and its element to which one element of an input is connected while no fault is present."""
+    return next(
+        (each for each in _upstream(diagram, node, port, element) if not isinstance(each[0].node.block, Fault)), None
+    )
 
 
 def is_dead_time(fault: Any) -> bool:

@@ -530,3 +530,131 @@ def test_the_frequencies_of_a_bode_plot_are_those_of_the_loop():
     frequencies = figure.axes[0].lines[0].get_xdata()
     assert np.pi / DT / 1e5 == pytest.approx(min(frequencies))
     assert max(frequencies) == pytest.approx(np.pi / DT)
+
+
+# --- Controllers and plants in absolute values -----------------------------------------------------------------------
+
+WARM, VALVE = 60.0, 0.5 * 40.0 / 30.0
+"""The temperature of a heat exchanger, and the valve at which it stays: the effect of the valve depends on the temperature."""
+
+
+def exchanger(initial=WARM, name="valve"):
+    def rates(t, x, u, params):
+        return [(u[0] * (90.0 - x[0]) - 0.5 * (x[0] - 20.0)) / 100.0]
+
+    system = control.nlsys(rates, lambda t, x, u, p: x[:1], inputs=[name], outputs=["supply"], states=["T"])
+    return cosim.StateSpace(system, initial=[initial])
+
+
+def own_pi(low=0.0, high=1.0, bias=VALVE):
+    """A PI controller with limits and an integral with limits; with a bias of None the bias is a further input."""
+
+    def out(t, x, u, params):
+        return [np.clip((u[3] if bias is None else bias) + 0.03 * (u[2] - (u[0] + u[1]) / 2) + x[0], low, high)]
+
+    def update(t, x, u, params):
+        return [np.clip(x[0] + 0.01 * (u[2] - (u[0] + u[1]) / 2), -0.5, 0.5)]
+
+    names = ["y[0]", "y[1]", "goal", *(["bias"] if bias is None else [])]
+    return cosim.StateSpace(control.nlsys(update, out, dt=5.0, inputs=names, outputs=["u"], states=1))
+
+
+def heating(controller, block=None, **options):
+    settings = {"measured": "supply", "sensors": cosim.Sensors(2, 0.2), "reference": WARM}
+    return cosim.closed_loop(block or exchanger(), controller, control="valve", **settings | options)
+
+
+def test_a_controller_in_absolute_values_is_linearized_where_the_loop_begins(recwarn):
+    """At inputs of zero it is at its limit. python-control linearizes the whole loop at its goal; faults do not count."""
+    faults = [cosim.Bias(sensor=0, start=0.0, magnitude=500.0)]
+    loop = heating(own_pi(), faults=faults, reference=cosim.Step(time=100.0, before=WARM, after=65.0))
+    whole = heating(own_pi()).to_control(inputs={"reference.y": "goal"}, outputs=["plant.supply"], seed=None)
+    exact = np.linalg.eigvals(control.linearize(whole, whole.initial_state, [WARM]).A)
+    np.testing.assert_allclose(np.sort_complex(loop.poles()), np.sort_complex(exact[np.abs(exact) > 1e-9]), rtol=1e-5)
+    margins = loop.margins()
+    assert 1.0 < margins.gain < np.inf
+    assert margins == pytest.approx(heating(own_pi(-1e9, 1e9)).margins(), rel=1e-6)
+    assert loop.step_info()["SteadyStateValue"] == pytest.approx(1.0)
+    given = control.ss([[-(VALVE + 0.5) / 100.0]], [[0.3]], [[1.0]], 0, inputs=["valve"], outputs=["supply"])
+    assert loop.linear(plant=given).margins() == pytest.approx(margins, rel=1e-6)
+    assert not [each for each in recwarn if "no feedback" in str(each.message)]
+
+
+def test_the_other_inputs_of_a_controller_have_their_first_values():
+    bias = {"blocks": {"open": cosim.Constant(VALVE)}, "connections": [("open.y", "controller.bias")]}
+    assert heating(own_pi(bias=None), **bias).margins() == pytest.approx(heating(own_pi()).margins(), rel=1e-9)
+
+
+@pytest.mark.parametrize("start", [20.0, 89.0])
+def test_a_controller_at_its_limit_is_said_and_is_no_feedback(start):
+    loop = heating(own_pi(), exchanger(start))
+    with pytest.warns(
+        UserWarning, match=rf"at y = \[{start:g}, {start:g}\] and goal = \[60\].* no feedback: its control valve"
+    ):
+        assert loop.margins().gain == np.inf
+
+
+@pytest.mark.parametrize("smooth", [cosim.ExponentialFilter(50.0), cosim.MovingAverage(4)])
+def test_the_filters_of_a_controller_have_settled_at_the_first_samples(smooth):
+    """With memories of zero the limit would be reached."""
+
+    def law(limit):
+        inside = cosim.Diagram(dt=5.0)
+        filtered, error, gain, limited = (
+            inside.add(block, name)
+            for name, block in (
+                ("filter", smooth),
+                ("error", cosim.Sum("+-")),
+                ("gain", cosim.Gain(VALVE / 5.0)),
+                ("limit", limit),
+            )
+        )
+        inside.connect(filtered["y"], error["u[1]"])
+        inside.connect(error["y"], gain["u"])
+        inside.connect(gain["y"], limited["u"])
+        return cosim.Subsystem(inside, inputs={"y": "filter.u", "goal": "error.u[0]"}, outputs={"u": "limit.y"})
+
+    loops = [
+        heating(law(cosim.Saturation(-high, high)), sensors=cosim.Sensors(1, 0.2), reference=WARM + 5.0)
+        for high in (1.0, 1e9)
+    ]
+    np.testing.assert_allclose(loops[0].poles(), loops[1].poles(), rtol=1e-9)
+    assert loops[0].margins().gain < np.inf
+
+
+@pytest.mark.filterwarnings("ignore:The controller's belief")
+def test_a_plant_within_its_dead_band_has_finite_matrices_and_a_warning():
+    """The figures were a LinAlgError."""
+
+    def valve(band):
+        def rates(t, x, u, params):
+            e = u[0] - x[0]
+            return [(e - np.clip(e, -band, band)) / 25.0, (40.0 * x[0] - x[1]) / 300.0]
+
+        return control.nlsys(rates, lambda t, x, u, p: x[1:], inputs=["valve"], outputs=["supply"], states=["v", "T"])
+
+    controller = controllers.design(
+        valve(0.0), measured="supply", sensors=2, sensor_std=0.2, actuated="valve", dt=10.0, noise={"valve": 0.05},
+        acceptable_error=1.0, acceptable_control=0.2,
+    )  # fmt: skip
+    plant = cosim.StateSpace(valve(0.01), initial=[0.0, 0.0])
+    loop = heating(controller, plant, reference=0.0)
+    with pytest.warns(UserWarning, match="Where the plant 'plant' begins, valve has no effect on its measured signals"):
+        linear = loop.linear()
+    exact = control.linearize(valve(0.01), [0.0, 0.0], [0.0]).sample(10.0)
+    assert (
+        np.abs(exact.poles() - 1.0).min() < 1e-9
+    )  # the valve stays; without an effect on it, it is no state of the plant
+    assert np.abs(exact.poles() - np.linalg.eigvals(linear.parts.plant.A)).min() < 1e-9
+    assert np.isfinite(linear.closed.A).all()
+    assert linear.margins().gain == np.inf
+    assert linear.bode().axes
+    assert linear.root_locus().axes
+
+
+def test_a_plant_without_a_derivative_is_refused_with_a_sentence():
+    system = control.nlsys(
+        lambda t, x, u, p: [u[0] - np.sqrt(x[0])], lambda t, x, u, p: x, inputs=["valve"], outputs=["supply"], states=1
+    )
+    with pytest.raises(ModelError, match="The plant 'plant' cannot be linearized at its start values"):
+        heating(own_pi(), cosim.StateSpace(system, initial=[0.0])).poles()
