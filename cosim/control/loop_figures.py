@@ -61,17 +61,18 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
     """
     _, axes = make_panels([PANEL, PANEL], figure)
     nyquist = np.pi / float(loop.dt)
-    control.bode_plot(
-        loop,
-        _frequencies(loop, nyquist),
-        ax=np.array(axes)[:, None],
-        dB=True,
-        deg=True,
-        Hz=False,
-        grid=False,
-        color=BLUE,
-        lw=1.3,
-    )
+    with np.errstate(divide="ignore"):  # a loop without feedback has a gain of zero
+        control.bode_plot(
+            loop,
+            _frequencies(loop, nyquist),
+            ax=np.array(axes)[:, None],
+            dB=True,
+            deg=True,
+            Hz=False,
+            grid=False,
+            color=BLUE,
+            lw=1.3,
+        )
     for axis in axes:
         axis.grid(visible=True, which="major", color="0.85", lw=0.6)
         axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)

@@ -580,6 +580,23 @@ def test_a_controller_in_absolute_values_is_linearized_where_the_loop_begins(rec
     assert not [each for each in recwarn if "no feedback" in str(each.message)]
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"sensors": cosim.Sensors(2, 0.2, every=(1, 4))},
+        {
+            "faults": [cosim.Delay(delay=5.0, sensor=0, initial=np.nan)],
+            "input_faults": {"valve": [cosim.Delay(delay=10.0)]},
+        },
+        {"input_faults": {"valve": [cosim.Stuck(start=0.0, at=1.0)]}},
+    ],
+)
+def test_the_beginning_of_a_loop_is_that_without_faults_and_missing_samples(options):
+    found = heating(own_pi(), **options).margins()
+    assert 1.0 < found.gain < np.inf
+    assert found == pytest.approx(heating(own_pi(-1e9, 1e9), **options).margins(), rel=1e-6)
+
+
 def test_the_other_inputs_of_a_controller_have_their_first_values():
     bias = {"blocks": {"open": cosim.Constant(VALVE)}, "connections": [("open.y", "controller.bias")]}
     assert heating(own_pi(bias=None), **bias).margins() == pytest.approx(heating(own_pi()).margins(), rel=1e-9)
