@@ -14,7 +14,7 @@ import numpy as np
 from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import counted, real, with_article
-from bayesftc.cosim.base.timebase import rational_step, show
+from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
 from bayesftc.cosim.blocks.faults.without_effect import (
@@ -34,6 +34,7 @@ from bayesftc.cosim.diagram.roles import check_units_of_goals
 from bayesftc.cosim.diagram.subsystem import outermost, port_named
 from bayesftc.cosim.diagram.wiring import (
     check_goals_ahead,
+    fixed_step,
     preview_time,
     warn_of_held_inputs,
     warn_of_other_signals,
@@ -96,9 +97,9 @@ def closed_loop(
         The plant's outputs for the sensors: vectors as a whole, or elements of them.
     reference : Block, float or a sequence of them
         The goal: a source, a constant, or one for each element of the controller's ``goal``. If the property ``preview``
-        of the controller is n > 0, each becomes a `Preview`. The output ``y`` of the `Preview` is the present goal. The
-        controller gets the output ``ahead``: the goal n samples of the controller later. In `connections`, blocks between
-        reference and controller then get ``"reference.ahead"``.
+        of the controller is n > 0, each source becomes a `Preview`. The same holds for the FMU of such a controller. The
+        output ``y`` of the `Preview` is the present goal. The controller gets the output ``ahead``: the goal n samples of
+        the controller later. In `connections`, blocks between reference and controller then get ``"reference.ahead"``.
     sensors : Sensors, optional
         By default one perfect sensor for each measured output. The controller gets the ``invalid`` values of the sensors.
         Its learner expects no sample from a slow sensor (``every``) in the steps between the samples of that sensor.
@@ -164,7 +165,7 @@ def closed_loop(
     _check_kinds(plant, controller, sensors, noise)
     diagram = Diagram(base_step(controller, dt))
     diagram.defer_units()  # a block that converts them may replace a connection of the loop
-    goals = [diagram.add(block, name)[output] for name, block, output in _references(reference, controller)]
+    goals = [diagram.add(each, name)[output] for name, each, output in _references(reference, controller, diagram.step)]
     chains = [faults, *(input_faults.values() if isinstance(input_faults, Mapping) else ())]
     plant = plant.watching([*_names(measured, "measured"), *_compared("plant", chains), *_taken("plant", connections)])
     node = diagram.add(plant, "plant", every=_every(plant, "plant", diagram.step))
@@ -306,12 +307,8 @@ def with_arrays(controller: Block) -> Block:
 
 def _sample_time(block: Block) -> Fraction | None:
     """Return the sample time of a block; of a controller in an FMU, which makes steps of one size only, that size."""
-    if isinstance(block, FMU) and block.timing == "sampled":
-        description = block.description
-        step = description.default_experiment.get("stepSize")
-        if step and not description.capabilities.get("canHandleVariableCommunicationStepSize"):
-            return rational_step(step)
-    return block.sample_time
+    fixed = fixed_step(block) if isinstance(block, FMU) and block.timing == "sampled" else None
+    return fixed or block.sample_time
 
 
 def _check_kinds(plant: object, controller: object, sensors: object, noise: object) -> None:
@@ -586,7 +583,7 @@ def _names(given: Names, what: str) -> list[str]:
 
 
 def _references(
-    given: Block | float | Sequence[Block | float], controller: Block
+    given: Block | float | Sequence[Block | float], controller: Block, step: Fraction
 ) -> list[tuple[str, Block, Literal["y", "ahead"]]]:
     """Return the names and blocks of the references, and the output that is the goal."""
     several = list(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else [given]
@@ -594,9 +591,10 @@ def _references(
     for block in blocks:
         _check_source("reference", block)
     names = ["reference" if len(blocks) == 1 else f"reference_{i}" for i in range(len(blocks))]
-    if time := preview_time(controller):
-        return [(name, Preview(block, time), "ahead") for name, block in zip(names, blocks, strict=True)]
-    return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
+    time = preview_time(controller, step)
+    if time:
+        blocks = [block if isinstance(block, Preview) else Preview(block, time) for block in blocks]
+    return [(name, block, "ahead" if time else "y") for name, block in zip(names, blocks, strict=True)]
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

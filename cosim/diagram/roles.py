@@ -28,7 +28,7 @@ from bayesftc.cosim.diagram.wiring import (
     inferring,
     is_dead_time,
     label_of,
-    preview_time,
+    preview_of,
 )
 from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError, did_you_mean
 from bayesftc.cosim.ports import Port
@@ -266,7 +266,7 @@ def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
     node, block = source[0].node, source[0].node.block
     if isinstance(block, Preview):
         return f"{node.name}.y", source[1]
-    if preview_time(controller.block) and not isinstance(block, Constant):
+    if preview_of(diagram, controller) and not isinstance(block, Constant):
         return None
     return f"{node.name}.{source[0].port.name}", source[1]
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.numbers import real
+from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
@@ -22,13 +23,13 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label
 from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary
 from bayesftc.cosim.errors import ConnectionError, ModelError, brief
+from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.ports import Port, labels
 
 _Visited = dict[tuple[str, str, int], list[str] | None]
 
 AHEAD = "ahead"
 """The output of a `Preview` that lies ahead."""
-
 MOST_TERMS = 3
 """Largest number of signals in the name of what a sensor reads; a sensor of more has its number as a name."""
 
@@ -447,9 +448,29 @@ def goal_names(controller: Block) -> list[str]:
 # --- Goals that lie ahead -------------------------------------------------------------------------------------------
 
 
-def preview_time(controller: Block) -> Fraction:
-    """Return the seconds by which a controller's goal lies ahead, from its property ``preview``; else 0."""
-    return getattr(controller, "preview", 0) * (controller.sample_time or Fraction(0))
+def samples_ahead(controller: Block) -> int:
+    """Return by how many of its samples a controller's goal lies ahead, from its property ``preview`` or its FMU; else 0."""
+    told = getattr(controller, "traits", None)
+    given = told.get("preview", 0) if isinstance(told, Mapping) else 0
+    number = real(getattr(controller, "preview", given))
+    return int(number) if number >= 1 and number.is_integer() else 0
+
+
+def preview_time(controller: Block, step: Fraction) -> Fraction:
+    """Return the seconds by which a controller's goal lies ahead; `step` is its sample time if it has none of its own."""
+    own = fixed_step(controller) if isinstance(controller, FMU) else controller.sample_time
+    return samples_ahead(controller) * (own or step)
+
+
+def preview_of(diagram: Diagram, controller: Node) -> Fraction:
+    """Return the seconds by which the goal of a diagram's controller lies ahead."""
+    return preview_time(controller.block, diagram.step * controller.every)
+
+
+def fixed_step(fmu: FMU) -> Fraction | None:
+    """Return the size of the steps of an FMU that makes steps of one size only."""
+    step, capabilities = fmu.description.default_experiment.get("stepSize"), fmu.description.capabilities
+    return rational_step(step) if step and not capabilities.get("canHandleVariableCommunicationStepSize") else None
 
 
 def origins_of_goal(diagram: Diagram, controller: Node, element: int) -> list[PortRef]:
@@ -507,7 +528,7 @@ def check_goals_ahead(diagram: Diagram, controller: Node) -> None:
     ConnectionError
         With the output that the goal comes from, and the one to connect.
     """
-    time = preview_time(controller.block)
+    time = preview_of(diagram, controller)
     if not time:
         return
     goal = controller["goal"]
@@ -517,18 +538,19 @@ def check_goals_ahead(diagram: Diagram, controller: Node) -> None:
             node = source[0].node
             raise ConnectionError(
                 f"{node.name}.{AHEAD} lies {show(Fraction(node.block.time))} s ahead, but the controller's preview is "  # type: ignore[attr-defined]
-                f"{show(time)} s. Give Preview the time {show(time)}, or connect 'reference.{AHEAD}'."
+                f"{show(time)} s. Give Preview the time {show(time)}, or give its source alone as the reference, which "
+                "closed_loop shifts."
             )
         origin = present_origin(diagram, controller, i)
         if origin is None:
             continue
-        count, name = getattr(controller.block, "preview", 0), goal.name if len(goal) == 1 else label(goal[i])
+        count, name = samples_ahead(controller.block), goal.name if len(goal) == 1 else label(goal[i])
         title = f"{name} must lie {count} samples ahead (preview={count}), but depends on {origin.name}, "
         if isinstance(origin.node.block, Preview):
             remedy = f"which is the present value. Connect '{origin.node.name}.{AHEAD}' in its place."
         else:
             remedy = (
                 "whose future the loop does not have. Make that block the reference and connect 'reference.ahead', or use "
-                "preview=0."
+                "a controller with preview=0."
             )
         raise ConnectionError(title + remedy)

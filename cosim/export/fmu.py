@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.cosim.base.units import BASE, parse
 from bayesftc.cosim.diagram.opening import OUTSIDE
 from bayesftc.cosim.diagram.roles import MATRICES, traits
-from bayesftc.cosim.diagram.wiring import is_controller
+from bayesftc.cosim.diagram.wiring import is_controller, samples_ahead
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.export.c_file import CFile
 from bayesftc.cosim.export.dependencies import Elements, feeding, feeding_elements
@@ -139,7 +139,8 @@ def _outputs(program: Program, sources: Mapping[str, frozenset[str]], element_so
 def _traits(program: Program) -> str:
     """Return what a controller that is exported alone says about itself, as JSON; for all else nothing."""
     nodes = [node for node in program.schedule.nodes if node.name != OUTSIDE]
-    known = traits(nodes[0].block) if len(nodes) == 1 and is_controller(nodes[0]) else {}
+    alone = len(nodes) == 1 and is_controller(nodes[0])
+    known = traits(nodes[0].block) | {"preview": samples_ahead(nodes[0].block)} if alone else {}
     for name in MATRICES:
         if name in known:
             known[name] = [[None if np.isnan(x) else x for x in row] for row in known[name].tolist()]

@@ -14,7 +14,7 @@ from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.roles import units_of_settings
-from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_time, with_rates
+from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_of, preview_time, with_rates
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.export.units import unit_of_setting
 from bayesftc.cosim.fmi.fmu import FMU
@@ -103,7 +103,7 @@ def _previews(diagram: Diagram, blocks: Mapping[str, Block]) -> dict[str, Block]
     """Return the references of a controller whose preview has changed, with the new one."""
     new: dict[str, Block] = {}
     for node in diagram.nodes:
-        before, time = preview_time(node.block), preview_time(blocks[node.name])
+        before, time = preview_of(diagram, node), preview_time(blocks[node.name], diagram.step * node.every)
         if time == before:
             continue
         for i in range(node.port("goal").size):

@@ -36,7 +36,10 @@ fmu = "controller.fmu"
 """
 
 
-def loop(controller, **settings):
+SINE = cosim.Sine(amplitude=5.0, period=8.0, offset=20.0)
+
+
+def loop(controller, reference=SINE, **settings):
     return cosim.closed_loop(
         plant=CAR,
         controller=controller,
@@ -44,7 +47,7 @@ def loop(controller, **settings):
         measured="v",
         sensors=cosim.Sensors(count=2, std=1.0),
         faults=[cosim.Drift(sensor=0, start=1.0, slope=1.0)],
-        reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
+        reference=reference,
         **settings,
     )
 
@@ -132,11 +135,86 @@ def test_a_loop_with_the_fmu_has_the_same_findings_and_summary(tmp_path, c_compi
     assert described["mode_probability[1,3]"].endswith("(Drifting)")
 
 
+AHEAD = controllers.LQGController(
+    MODEL, controllers.FixedPrecision(), goal_covariance=0.1, control_covariance=1e6, initial_mean=20.0, preview=100
+)
+
+
+@pytest.fixture(scope="module", params=["2.0", "3.0"])
+def ahead(request, tmp_path_factory, c_compiler):
+    folder = tmp_path_factory.mktemp("ahead")
+    return cosim.export_fmu(loop(AHEAD), folder / "controller.fmu", blocks="controller", fmi=request.param)
+
+
+@pytest.mark.parametrize("dt", [None, 0.01])
+def test_an_fmu_with_preview_gets_the_later_goal(ahead, dt):
+    given = {
+        "source": SINE,
+        "preview": cosim.Preview(SINE, 2.0),
+        "sources": [SINE],
+    }
+    block = loop(AHEAD, dt=dt).simulate(6.0, seed=1)
+    for name, reference in given.items():
+        again = loop(cosim.FMU(ahead), dt=dt, reference=reference)
+        assert again["reference"].block == cosim.Preview(SINE, 2.0), name
+        run = again.simulate(6.0, seed=1)
+        np.testing.assert_array_equal(run["plant.v"], block["plant.v"])
+        np.testing.assert_array_equal(run["reference.y"], block["reference.y"])
+        assert str(run.summary()) == str(block.summary())
+
+
+def test_an_fmu_with_preview_is_refused_where_its_goal_is_the_present_one(ahead):
+    controller = cosim.FMU(ahead)
+    with pytest.raises(cosim.ConnectionError, match=r"must lie 100 samples ahead .* Connect 'reference.ahead'"):
+        loop(controller, connections=[("reference.y", "controller.goal")])
+    with pytest.raises(cosim.ConnectionError, match=r"lies 1 s ahead, but .* preview is 2 s. Give Preview the time 2"):
+        loop(controller, reference=cosim.Preview(SINE, 1.0))
+    with pytest.raises(cosim.ModelError, match="A factor changes the preview of 'controller'"):
+        cosim.varied(loop(CONTROLLER), {"controller": cosim.FMU(ahead, arrays=True)})
+    with_it = cosim.varied(loop(dataclasses.replace(AHEAD, preview=1)), {"controller": cosim.FMU(ahead, arrays=True)})
+    assert with_it["reference"].block == cosim.Preview(SINE, 2.0)
+
+
+def test_an_fmu_with_preview_whose_outputs_are_read_as_a_plants_has_its_own_step(ahead):
+    late = loop(cosim.FMU(ahead, timing="plant"), dt="0.04")
+    assert late["reference"].block.time == 2
+
+
+def test_a_scenario_takes_an_fmu_with_preview(ahead, tmp_path):
+    (tmp_path / "controller.fmu").write_bytes(ahead.read_bytes())
+    file = tmp_path / "car.toml"
+    file.write_text(SCENARIO)
+    assert load_scenario(file).loop()["reference"].block.time == 2
+
+
+def test_a_block_without_a_sample_time_has_its_preview_in_steps_of_the_loop():
+    @dataclasses.dataclass(frozen=True)
+    class Late(cosim.Block):
+        preview: float = 5
+        inputs = (cosim.Port("y", (2,)), cosim.Port("goal", (1,)))
+        outputs = (cosim.Port("u", (1,)),)
+
+        def define(self, step):
+            return cosim.Definition(follow)
+
+    run = loop(Late(), dt=0.05).simulate(2.0, seed=1, engine="interpreted")
+    np.testing.assert_array_equal(run["controller.u"][:-5, 0], run["reference.y"][5:])
+
+
+def follow(y, goal, u):
+    u[0] = goal[0]
+
+
 DAMAGED = [
     "{{",
     '{"fault_kinds": 5, "lag": 0.1}',
     '{"fault_kinds": [1, 2], "fault_sizes": "unit"}',
     '{"measurement_matrix": 7, "goal_matrix": "abc"}',
+    '{"preview": "4"}',
+    '{"preview": -4}',
+    '{"preview": 2.5}',
+    '{"preview": 1e999}',
+    '{"preview": [4]}',
     '{"measurement_matrix": [[1.0], [1.0, 2.0]], "goal_matrix": [[1.0, 2.0]]}',
     "[" * 100_000,
 ]

@@ -13,6 +13,7 @@ from typing import Any, Literal
 from bayesftc.cosim.blocks.faults.conditions import When
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.diagram.closed_loop import fault_blocks
+from bayesftc.cosim.diagram.wiring import samples_ahead
 from bayesftc.cosim.errors import ModelError, UnknownNameError, brief, did_you_mean
 from bayesftc.scenario import Scenario
 from bayesftc.scenario._place import Place
@@ -239,7 +240,7 @@ def _sources_of_goals(
     ModelError
         If the number of the sources is not that of the elements.
     """
-    output = "ahead" if getattr(scenario.controller, "preview", 0) else "y"
+    output = "ahead" if samples_ahead(scenario.controller) else "y"
     names = [f"reference_{i}" for i in range(count)] if len(scenario.reference) > 1 else ["reference"]
     sources, others = [f"{name}.{output}" for name in names], []
     for each in connections:
