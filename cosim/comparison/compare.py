@@ -18,9 +18,9 @@ from bayesftc.cosim.campaign.outcomes import CampaignResult
 from bayesftc.cosim.campaign.runs.metrics import LoopFigures
 from bayesftc.cosim.comparison.pairing import check_pairs
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.nodes import Node
+from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.roles import find_roles
-from bayesftc.cosim.diagram.wiring import find_controller, find_sensors
+from bayesftc.cosim.diagram.wiring import find_controller, find_sensors, lies_ahead
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import LoopSignals
@@ -244,7 +244,8 @@ def compare(
     ----------
     loops : mapping of str to Diagram
         At least two closed loops by name; the others are compared with the first. They may differ in controller and plant, but
-        a plant that draws noise must be the same in all.
+        a plant that draws noise must be the same in all. Controllers may have different previews: the errors are those from
+        the present goal.
     duration : float, str or Fraction
         Seconds of each run.
     seeds : int or sequence of int
@@ -333,17 +334,25 @@ def compare(
 
 
 def _recorded(loop: Diagram) -> list[str]:
-    """Return the names of the signals in the figure: sources of the sensors and goals, true values, and activity of faults."""
+    """Return the names of the signals in the figure: sources of the sensors and goals, true values, and activity of faults.
+
+    Of a goal that lies ahead it is the present one.
+    """
     sensors, controller = find_sensors(loop), find_controller(loop)
     faults = [f"{node.name}.active" for node in loop.nodes if isinstance(node.block, Fault)]
     true = [place[0] for quantity in find_roles(loop).quantities for _, place in quantity.truth or ()]
-    return list(dict.fromkeys([*_sources(loop, sensors, "u"), *true, *_sources(loop, controller, "goal"), *faults]))
+    read = [f"{origin.node.name}.{origin.port.name}" for origin in _sources(loop, sensors, "u")]
+    goals = [
+        f"{origin.node.name}.{'y' if lies_ahead(origin) else origin.port.name}"
+        for origin in _sources(loop, controller, "goal")
+    ]
+    return list(dict.fromkeys([*read, *true, *goals, *faults]))
 
 
-def _sources(loop: Diagram, node: Node, port: str) -> list[str]:
+def _sources(loop: Diagram, node: Node, port: str) -> list[PortRef]:
     into = node.port(port)
     origins = [loop.source_of(node, into, i) for i in range(into.size)]
-    return [f"{origin[0].node.name}.{origin[0].port.name}" for origin in origins if origin is not None]
+    return [origin[0] for origin in origins if origin is not None]
 
 
 __all__ = ["Comparison", "compare"]

@@ -12,10 +12,10 @@ import numpy as np
 
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.kinds import Fault
+from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Source
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.wiring import find_controller, find_sensors, is_controller
 from bayesftc.cosim.errors import ModelError
 
@@ -24,7 +24,7 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
     """Refuse loops whose runs with the same seed are not paired.
 
     Random streams belong to the names of blocks. So sensors, sources, faults and all other blocks with random inputs must be the
-    same in each loop. Plant and controller may differ.
+    same in each loop. Plant and controller may differ. A `Preview` is the same as its source: the present goal is the same.
 
     Raises
     ------
@@ -47,29 +47,30 @@ def check_pairs(loops: Mapping[str, Diagram]) -> None:
                     (first, name, expected[block]) if block in expected else (name, first, actual[block])
                 )
                 raise ModelError(
-                    f"The loop {owner!r} has the block {block!r} ({type(found.block).__name__}), and {other!r} does not. "
+                    f"The loop {owner!r} has the block {block!r} ({type(found[0]).__name__}), and {other!r} does not. "
                     "A comparison needs the same faults, sensors, sources and noise in all loops, with the same names. Only "
                     "plant and controller may differ. Add the block to both."
                 )
-            if not alike(expected[block].block, actual[block].block):
+            if not alike(expected[block][0], actual[block][0]):
                 raise ModelError(
                     f"The block {block!r} has other settings in the loop {name!r} than in {first!r}, so that noise, faults or "
                     "reference differ. Give both the same settings."
                 )
-            if expected[block].every != actual[block].every:
+            if expected[block][1] != actual[block][1]:
                 raise ModelError(
-                    f"The block {block!r} runs every {actual[block].every} steps in the loop {name!r}, and every "
-                    f"{expected[block].every} in {first!r}. Give both the same every=."
+                    f"The block {block!r} runs every {actual[block][1]} steps in the loop {name!r}, and every "
+                    f"{expected[block][1]} in {first!r}. Give both the same every=."
                 )
 
 
-def _surroundings(loop: Diagram) -> Iterator[tuple[str, Node]]:
-    """Yield the blocks that must be the same in each loop: not those inside the controller, which may differ."""
+def _surroundings(loop: Diagram) -> Iterator[tuple[str, tuple[Block, int]]]:
+    """Yield the blocks that must be the same in each loop, and their every: not those inside the controller, which may differ."""
     inside = tuple(f"{node.name}." for node in loop.nodes if is_controller(node))
     for node in loop.nodes:
-        random = any(port.draw is not None for port in node.block.inputs)
-        if (random or isinstance(node.block, Fault | Sensors | Source)) and not node.name.startswith(inside):
-            yield node.name, node
+        block = node.block.source if isinstance(node.block, Preview) else node.block
+        random = any(port.draw is not None for port in block.inputs)
+        if (random or isinstance(block, Fault | Sensors | Source)) and not node.name.startswith(inside):
+            yield node.name, (block, node.every)
 
 
 def alike(one: Any, other: Any) -> bool:

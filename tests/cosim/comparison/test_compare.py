@@ -153,6 +153,37 @@ def test_sources_inside_a_controller_may_differ():
     assert compared.table["pairs"].tolist()[1:] == [3, 3]
 
 
+def with_preview(preview, **options):
+    controller = controllers.LQGController(MODEL, precision=FixedPrecision(), goal_covariance=0.01, preview=preview)
+    return loop_of(FixedPrecision(), controller=controller, **options)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("lengths", [(0, 3), (3, 0), (3, 5)])
+def test_previews_of_one_reference_are_compared_with_the_present_goal(lengths):
+    compared = cosim.compare({str(n): with_preview(n) for n in lengths}, duration=5.0, seeds=[3, 1])
+    assert compared.table["pairs"].tolist()[1:] == [2]
+    drawn = compared.signals(str(lengths[1]))[0]
+    np.testing.assert_allclose(drawn.quantities[0].reference, np.sin(2.0 * np.pi * drawn.time / 3.0), atol=1e-12)
+    for i, n in enumerate(lengths):
+        runs = [with_preview(n).simulate(5.0, seed=seed, engine="interpreted") for seed in (3, 1)]
+        errors = [np.sqrt(np.mean((run["plant.y"] - run["reference.y"]) ** 2)) for run in runs]
+        assert compared.table["error"][i] == pytest.approx(np.mean(errors), rel=1e-9)
+    noise = [
+        loop.simulate(5.0, seed=3)["sensors.y"] - loop.simulate(5.0, seed=3)["plant.y"][:, None]
+        for loop in map(with_preview, lengths)
+    ]
+    np.testing.assert_allclose(*noise, atol=1e-12)
+
+
+def test_previews_of_other_references_are_refused():
+    sine, other = cosim.Sine(amplitude=1.0, period=3.0), cosim.Sine(amplitude=2.0, period=3.0)
+    for one, two in ((0, 3), (3, 3)):
+        loops = {"a": with_preview(one, reference=sine), "b": with_preview(two, reference=other)}
+        with pytest.raises(ModelError, match="'reference' has other settings in the loop 'b'"):
+            cosim.compare(loops, duration=1.0, seeds=2)
+
+
 @pytest.mark.parametrize("seeds", [1, [7], np.array([7])])
 def test_one_seed_has_no_interval(seeds):
     with pytest.raises(ModelError, match="compare has one seed; intervals and tests need at least two"):
