@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import Printed, settings
+from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import BayesFTCError, KernelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import Port, listed
 from bayesftc.cosim.stepping.records import as_written, with_arrays
@@ -158,8 +159,8 @@ class Block(Printed, NamedArguments):
         return type(self).__name__.lower()
 
     @property
-    def sample_time(self) -> Fraction | None:
-        """The only sample time at which the block can run, in seconds; None if there is no such limit."""
+    def sample_time(self) -> float | str | Fraction | None:
+        """The only sample time at which the block can run, in seconds (0.02, "1/30"); None if there is no such limit."""
         return None
 
     def define(self, step: Fraction) -> Definition:
@@ -258,6 +259,18 @@ class Block(Printed, NamedArguments):
         from bayesftc.cosim.control.control_system import block_to_control
 
         return block_to_control(self, dt, inputs, outputs, seed, engine, name)
+
+
+def sample_time_of(block: Block) -> Fraction | None:
+    """Return the sample time of a block as an exact fraction; None if it can run at any.
+
+    Raises
+    ------
+    StepSizeError
+        If it is not a positive number.
+    """
+    given = block.sample_time
+    return None if given is None else rational_step(given, f"The sample_time of {type(block).__name__}")
 
 
 class ExternalBlock(Block):

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from bayesftc.cosim.base.timebase import rational_step, whole_steps
-from bayesftc.cosim.block import Block, Definition
+from bayesftc.cosim.block import Block, Definition, sample_time_of
 from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.errors import ModelError, brief
 from bayesftc.cosim.ops import absolute, floor, select
@@ -93,8 +93,7 @@ class Preview(Block):
     @property
     def sample_time(self) -> Fraction | None:
         """See `Block.sample_time`."""
-        time: Fraction | None = self.source.sample_time
-        return time
+        return sample_time_of(self.source)
 
     def define(self, step: Fraction) -> Definition:
         """See `Block.define`."""

@@ -9,7 +9,7 @@ from typing import Any
 import control
 import numpy as np
 
-from bayesftc.cosim.block import Block
+from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.control.differences import parted, slopes
 from bayesftc.cosim.control.equations import Equations
 from bayesftc.cosim.control.machine import Machine
@@ -152,7 +152,7 @@ def block_to_control(
     name: str | None,
 ) -> ControlSystem:
     """Return a block as a system of python-control; `Block.to_control` describes the arguments."""
-    step = block.sample_time if dt is None else dt
+    step = sample_time_of(block) if dt is None else dt
     continuous = step is None and isinstance(block, FMU) and block.kind == "model exchange"
     if step is None and not continuous:
         raise ModelError(f"{type(block).__name__} has no sample time; give to_control(dt=...) in seconds.")

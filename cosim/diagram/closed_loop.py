@@ -15,7 +15,7 @@ from bayesftc.cosim.base.arguments import with_named_arguments
 from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.numbers import counted, real, with_article
 from bayesftc.cosim.base.timebase import show
-from bayesftc.cosim.block import Block
+from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.blocks.faults.kinds import Dropout, Fault, RandomFaults
 from bayesftc.cosim.blocks.faults.without_effect import (
     unconnected,
@@ -308,7 +308,7 @@ def with_arrays(controller: Block) -> Block:
 def _sample_time(block: Block) -> Fraction | None:
     """Return the sample time of a block; of a controller in an FMU, which makes steps of one size only, that size."""
     fixed = fixed_step(block) if isinstance(block, FMU) and block.timing == "sampled" else None
-    return fixed or block.sample_time
+    return fixed or sample_time_of(block)
 
 
 def _check_kinds(plant: object, controller: object, sensors: object, noise: object) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from bayesftc.cosim.base.html import Lines
 from bayesftc.cosim.base.timebase import show
-from bayesftc.cosim.block import Definition, ExternalBlock
+from bayesftc.cosim.block import Definition, ExternalBlock, sample_time_of
 from bayesftc.cosim.diagram.contract import checked
 from bayesftc.cosim.diagram.coupling import Coupling
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
@@ -363,7 +363,7 @@ class Schedule:
 
 
 def _check_sample_time(node: Node, step: Fraction) -> None:
-    required = node.block.sample_time
+    required = sample_time_of(node.block)
     if required is not None and required != step:
         raise StepSizeError(
             f"Block {node.name!r} must run every {show(required)} s, but the diagram runs it every {show(step)} s; "

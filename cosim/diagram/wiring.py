@@ -13,7 +13,7 @@ from bayesftc.cosim.base.numbers import real
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.base.warnings_shown import warn_user
-from bayesftc.cosim.block import Block
+from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
@@ -458,7 +458,7 @@ def samples_ahead(controller: Block) -> int:
 
 def preview_time(controller: Block, step: Fraction) -> Fraction:
     """Return the seconds by which a controller's goal lies ahead; `step` is its sample time if it has none of its own."""
-    own = fixed_step(controller) if isinstance(controller, FMU) else controller.sample_time
+    own = fixed_step(controller) if isinstance(controller, FMU) else sample_time_of(controller)
     return samples_ahead(controller) * (own or step)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.timebase import rational_step
-from bayesftc.cosim.block import Block
+from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.diagram.diagram import Diagram, is_external
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import OUTSIDE, Names, opened, part_of
@@ -180,7 +180,7 @@ def _as_diagram(exported: Block | Diagram, dt: float | str | Fraction | None) ->
         return exported
     if not isinstance(exported, Block):
         raise ModelError(f"Only a block or a diagram can be exported, not {exported!r}.")
-    step = exported.sample_time if dt is None else rational_step(dt)
+    step = sample_time_of(exported) if dt is None else rational_step(dt)
     if step is None:
         raise ModelError(f"{type(exported).__name__} has no sample time; give dt=... in seconds.")
     diagram = Diagram(step)

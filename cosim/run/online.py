@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.timebase import rational_step, show
-from bayesftc.cosim.block import ExternalBlock
+from bayesftc.cosim.block import ExternalBlock, sample_time_of
 from bayesftc.cosim.diagram.contract import checked
 from bayesftc.cosim.diagram.memory import Slots, arrange, bind
 from bayesftc.cosim.errors import ModelError, StepSizeError, UnknownNameError, brief, did_you_mean
@@ -86,13 +86,12 @@ class Online:
     """
 
     def __init__(self, block: Block, dt: float | str | Fraction | None = None, *, compiled: bool = True):
-        step = block.sample_time if dt is None else rational_step(dt)
+        own = sample_time_of(block)
+        step = own if dt is None else rational_step(dt)
         if step is None:
             raise StepSizeError(f"{type(block).__name__} has no sample time; give online(dt=...) in seconds.")
-        if block.sample_time not in {None, step}:
-            raise StepSizeError(
-                f"{type(block).__name__} runs every {show(block.sample_time)} s, not every {show(step)} s."
-            )  # type: ignore[arg-type]
+        if own not in {None, step}:
+            raise StepSizeError(f"{type(block).__name__} runs every {show(own)} s, not every {show(step)} s.")  # type: ignore[arg-type]
         if isinstance(block, ExternalBlock):
             raise ModelError(f"{type(block).__name__} runs in diagrams only; step an FMU on its own with fmpy.")
         self._block, self._step, self._compiled = block, step, compiled

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.base.warnings_shown import warn_user
-from bayesftc.cosim.block import Block
+from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.diagram.closed_loop import base_step, check_parts, closed_loop, with_invalid
@@ -268,7 +268,7 @@ def _count_samples(wiring: Wiring, plant: Block, sensors: Sensors | None) -> int
 
 def _steps_of(controller: Block, simulation: Simulation) -> int:
     """Return the number of base steps from one sample of the controller to the next; 1 if they do not fit, which is refused."""
-    time = controller.sample_time
+    time = sample_time_of(controller)
     steps = Fraction(1) if simulation.dt is None or time is None else time / rational_step(simulation.dt)
     return int(steps) if steps.denominator == 1 else 1
 
