@@ -35,6 +35,7 @@ from bayesftc.cosim.diagram.subsystem import outermost, port_named
 from bayesftc.cosim.diagram.wiring import (
     check_goals_ahead,
     fixed_step,
+    has_later_goals,
     preview_time,
     warn_of_held_inputs,
     warn_of_other_signals,
@@ -592,9 +593,13 @@ def _references(
         _check_source("reference", block)
     names = ["reference" if len(blocks) == 1 else f"reference_{i}" for i in range(len(blocks))]
     time = preview_time(controller, step)
-    if time:
-        blocks = [block if isinstance(block, Preview) else Preview(block, time) for block in blocks]
-    return [(name, block, "ahead" if time else "y") for name, block in zip(names, blocks, strict=True)]
+    if not time:
+        return [(name, block, "y") for name, block in zip(names, blocks, strict=True)]
+    blocks = [
+        block if isinstance(block, Preview) or has_later_goals(block) else Preview(block, time) for block in blocks
+    ]
+    outputs: list[Literal["y", "ahead"]] = ["ahead" if isinstance(block, Preview) else "y" for block in blocks]
+    return list(zip(names, blocks, outputs, strict=True))
 
 
 def with_invalid(controller: Block, sensors: Sensors) -> Block:

@@ -30,6 +30,7 @@ _Visited = dict[tuple[str, str, int], list[str] | None]
 
 AHEAD = "ahead"
 """The output of a `Preview` that lies ahead."""
+
 MOST_TERMS = 3
 """Largest number of signals in the name of what a sensor reads; a sensor of more has its number as a name."""
 
@@ -507,8 +508,13 @@ def goals_ahead(diagram: Diagram, controller: Node) -> list[PortRef]:
 
 
 def lies_ahead(origin: PortRef) -> bool:
-    """Return whether an output is the one of a `Preview` that lies ahead."""
-    return isinstance(origin.node.block, Preview) and origin.port.name == AHEAD
+    """Return whether an output lies ahead: the one of a `Preview`, or that of a block of later goals from outside."""
+    return (isinstance(origin.node.block, Preview) and origin.port.name == AHEAD) or has_later_goals(origin.node.block)
+
+
+def has_later_goals(block: Block) -> bool:
+    """Return whether a source itself has the goals that a controller with a preview needs, as one of goals from outside."""
+    return getattr(block, "later_goals", False) is True
 
 
 def present_origin(diagram: Diagram, controller: Node, element: int) -> PortRef | None:
@@ -534,10 +540,10 @@ def check_goals_ahead(diagram: Diagram, controller: Node) -> None:
     goal = controller["goal"]
     for i in goal.elements:
         source = diagram.source_of(controller, controller.port("goal"), i)
-        if source is not None and lies_ahead(source[0]) and source[0].node.block.time != time:  # type: ignore[attr-defined]
-            node = source[0].node
+        block = None if source is None else source[0].node.block
+        if source is not None and isinstance(block, Preview) and lies_ahead(source[0]) and block.time != time:
             raise ConnectionError(
-                f"{node.name}.{AHEAD} lies {show(Fraction(node.block.time))} s ahead, but the controller's preview is "  # type: ignore[attr-defined]
+                f"{source[0].name} lies {show(Fraction(block.time))} s ahead, but the controller's preview is "
                 f"{show(time)} s. Give Preview the time {show(time)}, or give its source alone as the reference, which "
                 "closed_loop shifts."
             )

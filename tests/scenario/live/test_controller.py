@@ -1,11 +1,13 @@
 """The controller of a scenario without its plant: names, references, refusals, and the same bits as in the simulation."""
 
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from bayesftc.controllers import BayesianController, GammaPrecision, LinearModel
+from bayesftc import cosim
+from bayesftc.controllers import BayesianController, GammaPrecision, LinearModel, LQGController
 from bayesftc.cosim.errors import ConnectionError, ModelError, ScenarioError
 from bayesftc.scenario import load_scenario
 from bayesftc.scenario._files import shipped_files
@@ -103,6 +105,23 @@ def test_a_received_goal_replaces_the_reference(load):
     assert low["controller.u"][-1, 0] < 0 < high["controller.u"][-1, 0]
     without = load(re.sub(r"\[reference\]\n.*\n.*\n", "", ALONE), ["controller.goal[0]"])
     np.testing.assert_array_equal(run(without, samples, np.full(100, 25.0))["controller.u"], high["controller.u"])
+
+
+@pytest.mark.parametrize("exported", [False, True])
+def test_a_received_goal_of_a_controller_with_preview_is_the_later_one(load, tmp_path, same_bits, exported, c_compiler):
+    model = LinearModel([[0.999]], [[2e-4]], [[1], [1]], 0.001, 1.0, dt=0.02)
+    lqg = LQGController(model, GammaPrecision(), goal_covariance=0.1, initial_mean=20.0, preview=20)
+    text = ALONE.replace('kind = "BayesianController"', 'kind = "LQGController"\ngoal_covariance = 0.1\npreview = 20')
+    if exported:
+        path = cosim.export_fmu(lqg, tmp_path / "lqg.fmu")
+        text = f"{text[: text.index('[controller]')]}[controller]\nfmu = {str(path)!r}\n"
+        text = re.sub(r"\[model\]\n(.+\n)+?(?=\[)", "", text)
+    samples, goals = np.full((100, 2), 20.0), 20.0 + np.sin(np.arange(100) / 10.0)
+    out = run(load(text, ["controller.goal"]), samples, goals)
+    online = lqg.online()
+    online(y=[np.nan] * 2, goal=[0.0])
+    same_bits(out["controller.u"], np.array([online(y=y, goal=[g]).u for y, g in zip(samples, goals, strict=True)]))
+    assert load(text).diagram["reference"].block.time == Fraction(2, 5)
 
 
 @pytest.mark.parametrize(

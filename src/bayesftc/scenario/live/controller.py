@@ -34,6 +34,13 @@ OF_PLANT = ("sensors", "faults", "input_faults", "noise")
 NEEDED = ("simulation", "controller")
 
 
+@dataclass(frozen=True)
+class ReceivedGoal(Received):
+    """A goal from outside: for a controller with a preview already that of n samples later, so that it is not shifted."""
+
+    later_goals: ClassVar[bool] = True
+
+
 def _read(received, samples):
     for i in range(samples.shape[0]):
         samples[i] = received[i]
@@ -125,7 +132,8 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
         A scenario file, or the name of a shipped one. ``[plant]`` may be missing: it is not run. If it is there, it is used only
         where the controller is designed for it. Sensors, faults and noise have no effect.
     received : collection of str
-        The inputs from outside. If ``"controller.goal"`` is one of them, the reference is not used.
+        The inputs from outside. If ``"controller.goal"`` is one of them, the reference is not used. The goal of a controller
+        with a preview is then the one that this input must have: that of n samples later.
 
     Returns
     -------
@@ -151,7 +159,7 @@ def live_controller(path: str | os.PathLike[str], received: Collection[str] = ()
         names = {"controller.y": "plant.received"}
         reference: Any = parts.reference
         if any(name.split("[")[0] == "controller.goal" for name in received):
-            reference = Received(ports["goal"].size, start=0.0)
+            reference = ReceivedGoal(ports["goal"].size, start=0.0)
             names["controller.goal"] = "reference.u"
         elif not reference:
             raise root.error("lacks the section [reference]. Add it, or a wire with to = 'controller.goal'.")
