@@ -111,7 +111,8 @@ def design(
     at : mapping of input to number or vector, optional
         Inputs at the operating point; by default the start values of an FMU. A nonlinear system of python-control has no
         start values of inputs. Its inputs are then 0. Its controls may also get the values that hold a steady state nearer to
-        the plant's start, as the thrust of a drone that hovers. Where possible, the controls are within their limits.
+        the plant's start, as the thrust of a drone that hovers. The search for them begins at 0, and in the middle of the limits
+        if it does not find the start itself. Where possible, the controls are within their limits.
     order : int, optional
         Number of states of a model by pulse responses.
     sensors : int or sequence of int, optional
@@ -257,7 +258,8 @@ def design(
 
             def about(at: Mapping[str, Any]) -> Linearization:
                 signals = {"measured": sensed, "actuated": driven, "others": goals, "noise": noise, "loads": loads}
-                return linearize(plant, **signals, dt=dt, at=at, order=order)  # type: ignore[arg-type]
+                limits = u_min, u_max
+                return linearize(plant, **signals, dt=dt, at=at, order=order, limits=limits)  # type: ignore[arg-type]
 
             everywhere = isinstance(plant, StateSpace) and isinstance(plant.system, LinearSystem)
             linear = about(at or {}) if everywhere else _within_limits(about, at or {}, driven, (u_min, u_max))

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.controllers.models.checks import LARGEST, Matrix, as_number
+from bayesftc.controllers.models.checks import LARGEST, Matrix, as_number, as_vector
 from bayesftc.controllers.models.differences import derivative
 from bayesftc.controllers.models.disturbances import lag_of
 from bayesftc.controllers.models.fmu.ports import fmu_ports
@@ -27,6 +27,7 @@ from bayesftc.controllers.models.names import (
     spread,
 )
 from bayesftc.controllers.models.pulse_responses import SUBSTEPS, realise
+from bayesftc.controllers.models.steady_state import steady_state
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block
@@ -221,8 +222,12 @@ def linearize(
     dt: float | str | Fraction | None = None,
     at: Mapping[str, float | Sequence[float]] | None = None,
     order: int | None = None,
+    limits: tuple[object, object] | None = None,
 ) -> Linearization:
-    """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones."""
+    """Linearise a plant about a steady state; `others` are outputs of the model besides the measured ones.
+
+    `limits` are those of the actuated inputs, u_min and u_max. A steady state is searched from their middle as well.
+    """
     check_by_name(noise=noise, at=at, loads=loads)
     driven = names_of(actuated, "actuated")
     inputs = list(dict.fromkeys([*driven, *(noise or {}), *(loads or {})]))
@@ -230,14 +235,14 @@ def linearize(
     if isinstance(plant, str | PathLike):
         plant = FMU(plant)
     if isinstance(plant, FMU):
-        return _seen(_of_fmu(plant, (inputs, driven), outputs, dt, at or {}, order), loads or {})
+        return _seen(_of_fmu(plant, (inputs, driven), outputs, dt, at or {}, order, limits), loads or {})
     check_plant(plant)
     block = plant if isinstance(plant, StateSpace) else StateSpace(plant)
     states = _state_names(block.system, len(np.array(block.initial)))
     if order is not None:
         raise ModelError("order= is only for an FMU whose states are not accessible; leave it out.")
     if not isinstance(block.system, LinearSystem):
-        linear = _of_nonlinear(block, (inputs, driven), outputs, dt, at or {})
+        linear = _of_nonlinear(block, (inputs, driven), outputs, dt, at or {}, limits)
     else:
         linear = _of_linear(block.system, np.array(block.initial), inputs, outputs, dt, at or {})
     return _seen(replace(linear, states=states), loads or {})
@@ -359,6 +364,7 @@ def _of_nonlinear(
     outputs: list[str],
     dt: float | str | Fraction | None,
     at: Mapping[str, float | Sequence[float]],
+    limits: tuple[object, object] | None,
 ) -> Linearization:
     """Linearise a nonlinear system; `driven` are the inputs of the linearisation, and those of them that are actuated."""
     system, (inputs, actuated) = block.system, driven
@@ -373,7 +379,17 @@ def _of_nonlinear(
         change = both(np.concatenate([x, u]))[:n]
         return change if system.dt == 0 else change - x
 
-    x, u, rate = _rest(residual, x, u, _free(actuated, known_inputs, at), stated=False)
+    free = _free(actuated, known_inputs, at)
+    x, u, rate = steady_state(
+        residual,
+        x,
+        u,
+        free,
+        stated=False,
+        inside=_inside(limits, actuated, known_inputs, free, u),
+        names=_state_names(system, n),
+        per="second" if system.dt == 0 else "sample",
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # a result that is not finite is refused
         whole = derivative(both, np.concatenate([x, u]))
     a, b, c, d = parted(whole, n)
@@ -413,12 +429,15 @@ def _of_fmu(
     dt: float | str | Fraction | None,
     at: Mapping[str, float | Sequence[float]],
     order: int | None,
+    limits: tuple[object, object] | None,
 ) -> Linearization:
     """Linearise an FMU; `driven` are the inputs of the linearisation, and those of them that are actuated."""
     inputs, actuated = driven
     fmu, step, u, (columns, names), (rows, measured), into = fmu_ports(fmu, inputs, outputs, dt, at)
     if fmu.description.exchange is not None and order is None:
-        linear = _of_equations(fmu, u, columns, rows, names, measured, step, _free(actuated, into, at))
+        free = _free(actuated, into, at)
+        inside = _inside(limits, actuated, into, free, u)
+        linear = _of_equations(fmu, u, columns, rows, names, measured, step, free, inside)
         return replace(linear, held=_held(into, at))
     realisation = realise(fmu, step, u, {j: max(abs(float(u[j])), 1.0) for j in columns}, rows, order)
     point = np.zeros(len(realisation.A)), u[columns], realisation.y, realisation.start
@@ -455,6 +474,7 @@ def _of_equations(
     outputs: tuple[str, ...],
     step: Fraction,
     free: Sequence[int],
+    inside: Floats | None,
 ) -> Linearization:
     from bayesftc.cosim.fmi.equations import ModelEquations
 
@@ -464,7 +484,9 @@ def _of_equations(
                 f"The FMU {fmu.default_name!r} has no state. Its outputs depend directly on its inputs (a relative degree of 0), "
                 "so there are no dynamics to control. Solve for the input, or put the FMU in front of a plant with states."
             )
-        x, u, rate = _rest(model.derivatives, model.x0, u, free, model.nominals)
+        x, u, rate = steady_state(
+            model.derivatives, model.x0, u, free, scale=model.nominals, inside=inside, names=model.state_names
+        )
         a, b, c, d = model.jacobians(x, u)
         y, start, states = model.outputs(x, u), model.x0, model.state_names
     A, B = _sampled(a, b, step)
@@ -484,78 +506,19 @@ def _held(inputs: Sequence[str], at: Mapping[str, Any]) -> tuple[tuple[str, floa
     return tuple((inputs[j], float(value)) for j, value in spread("The operating point", at, inputs).items())
 
 
-def _rest(
-    residual: Any, x: Floats, u: Floats, free: Sequence[int], scale: Floats | None = None, *, stated: bool = True
-) -> tuple[Floats, Floats, Floats | None]:
-    """Find a steady state near the start, if necessary with other inputs.
-
-    Inputs that are not `stated` are also those that hold the start best, where this gives a nearer steady state. If there is
-    none with either, states and inputs are searched together. If there is none, a steady motion suffices: states on which
-    nothing depends (the position of a car) change at a constant rate.
-    The result is state, inputs and this rate; None if it is zero.
-
-    Raises
-    ------
-    ModelError
-        If there is neither.
-    """
-    size = np.maximum(np.abs(x), 1.0 if scale is None else scale)
-    n = len(x)
-
-    def change(z: Floats) -> Floats:
-        inputs = u.copy()
-        if len(z) > n:
-            inputs[list(free)] = z[n:]
-        return np.asarray(residual(z[:n] * size, inputs)) / size
-
-    z = x / size
-    with np.errstate(over="ignore", invalid="ignore"):
-        if np.abs(change(z)).max(initial=0.0) <= 1e-9:
-            return x, u, None
-        still = np.array([not (change(z + step) - change(z - step)).any() for step in 0.1 * np.eye(n)])
-
-    def search(f: Any, start: Floats) -> Floats | None:
-        """Return where f is zero near a start; None if nowhere."""
-        found = _least(f, start)
-        with np.errstate(all="ignore"):
-            return found if np.abs(f(found)).max() <= 1e-8 else None
-
-    given = u[list(free)]
-    rest = search(change, z)
-    if len(free):
-        if not stated:
-            held = _least(lambda w: change(np.concatenate([z, w])), given)
-            other = search(lambda z: change(np.concatenate([z, held])), z)
-            if other is not None and (rest is None or np.abs(other - z).max() < np.abs(rest - z).max()):
-                rest, u = other, _put(u, free, held)
-        if rest is None and (both := search(change, np.concatenate([z, given]))) is not None:
-            rest, u = both[:n], _put(u, free, both[n:])
-    if rest is not None:
-        return rest * size, u, None
-    if still.any() and (rest := search(lambda z: np.where(still, 0.0, change(z)), z)) is not None:
-        return rest * size, u, np.where(still, residual(rest * size, u), 0.0)
-    raise ModelError(
-        "No steady state was found near the start, even without integrators on which nothing depends"
-        f"{' and with any actuated inputs' if len(free) else ''}. Give other start values, or other inputs (at=...)."
+def _inside(
+    limits: tuple[object, object] | None, actuated: Sequence[str], inputs: Sequence[str], free: Sequence[int], u: Floats
+) -> Floats | None:
+    """Return values of the free inputs within the limits of the actuated ones: the middle, or the nearest to u without one."""
+    if limits is None:
+        return None
+    driven = chosen(actuated, inputs, "input")[0]
+    low, high = (
+        as_vector(name, of, len(driven), finite=False) for name, of in zip(("u_min", "u_max"), limits, strict=True)
     )
-
-
-def _least(f: Any, start: Floats) -> Floats:
-    """Return where f is smallest near a start; the start if f is not finite there."""
-    from scipy.optimize import least_squares
-
-    try:
-        with np.errstate(all="ignore"):
-            return np.asarray(least_squares(f, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
-    except (ValueError, np.linalg.LinAlgError):
-        return start
-
-
-def _put(values: Floats, places: Sequence[int], given: Floats) -> Floats:
-    """Return values of which those at the places are others."""
-    changed = values.copy()
-    changed[list(places)] = given
-    return changed
+    with np.errstate(invalid="ignore"):
+        middle = np.where(np.isfinite(high - low), (low + high) / 2, np.clip(u[driven], low, high))
+    return middle[[driven.index(j) for j in free]]
 
 
 def _sampled(a: Floats, b: Floats, step: Fraction) -> tuple[Floats, Floats]:
