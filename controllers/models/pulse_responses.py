@@ -13,6 +13,7 @@ from types import TracebackType
 import numpy as np
 
 from bayesftc.controllers.models.checks import frozen
+from bayesftc.controllers.models.steady_state import NEVER_RESTS
 from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
@@ -49,11 +50,17 @@ AGREES = 1e-3
 """Relative error of the model's responses above which there is a warning."""
 
 
+STARTS = "parameters= of the FMU, in a scenario those of [known.plant]"
+"""Where the parameters and start values of an FMU are given for which a controller is designed."""
+
 RECORD = (
     "If its outputs are rounded or noisy, identify a model from a recording (LinearModel.identify), with inputs as large "
     "as possible."
 )
 """Advice for outputs that are too coarse for pulses."""
+
+WITHOUT_BAND = f"If it has a dead band, design for the plant without it ({STARTS})."
+"""Advice for a dead band."""
 
 
 class PoorFitWarning(UserWarning):
@@ -127,7 +134,7 @@ class Experiments:
                 raise ModelError(
                     f"The plant {self._fmu.default_name!r} has no steady state: with its inputs held at {self.held.tolist()} an "
                     f"output is NaN or infinite at t = {show(self.step * (k - SAMPLES + i))} s. Give other inputs (at=...) or "
-                    "start values (FMU(parameters=...))."
+                    f"start values ({STARTS})."
                 )
             changes.append(float(np.ptp(readings, axis=0).max()))
             if changes[-1] <= STEADY * size:
@@ -140,10 +147,13 @@ class Experiments:
             if not plant.can_save and _shrinks(changes)
             else ""
         )
+        names = [name for port in self._fmu.outputs or () for name in labels(port.name, port.shape)]  # type: ignore[union-attr]
+        sizes = np.maximum(np.abs(readings).max(axis=0), 1e-6)
+        moving = [names[self._rows[i]] for i in np.flatnonzero(np.ptp(readings, axis=0) > STEADY * sizes)]
         raise ModelError(
-            f"The plant {self._fmu.default_name!r} does not come to rest: with its inputs held at {self.held.tolist()} its "
-            f"outputs still change after {show(self.step * k)} s.{longer} Give start values of a steady state "
-            "(FMU(parameters=...)), or other inputs (at=...). For a plant without one identify a model from a recording "
+            f"The plant {self._fmu.default_name!r} does not come to rest: with its inputs held at {self.held.tolist()}, "
+            f"{', '.join(moving)} still change{'s' * (len(moving) == 1)} after {show(self.step * k)} s.{longer} Give start "
+            f"values of a steady state ({STARTS}), or other inputs (at=...). {NEVER_RESTS} Or identify a model from a recording "
             "(LinearModel.identify)."
         )
 
@@ -268,7 +278,7 @@ def _experimented(
 ) -> Realisation:
     with Experiments(replace(fmu, timing="plant"), step, held, rows) as plant:
         y, first = plant.settle()
-        markov, error = _markov(plant, scale)
+        markov, error, lost = _markov(plant, scale)
         waited = plant.waited
     direct = np.abs(markov[0]).max()
     if direct > 1e-9 * np.abs(markov).max():
@@ -276,7 +286,9 @@ def _experimented(
             "An output of the FMU depends directly on an input, which the model y = C x cannot represent. Measure another "
             "output, or put a cosim.UnitDelay between them."
         )
-    A, B, C, values, miss = _eigensystem(markov[1:], error[1:], order)
+    A, B, C, values, miss = _eigensystem(markov[1:], error[1:], order, lost)
+    for each in lost:
+        warn_user(f"{each}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning)
     readings = [C]
     for _ in first[1:]:
         readings.append(readings[-1] @ A)
@@ -292,21 +304,25 @@ def _unusual(plant: Experiments) -> str:
     return f" (the FMU's own are of {show(own)} s)" if own is not None and own != plant.step else ""
 
 
-def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats]:
-    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), and their errors."""
+def _markov(plant: Experiments, scale: Mapping[int, float]) -> tuple[Floats, Floats, list[str]]:
+    """Return the derivatives of the outputs by a pulse of each input (samples x outputs x inputs), their errors, and sentences.
+
+    The sentences are about small pulses without a response.
+    """
     slope = [_derivative(plant, j, full, len(plant.held)) for j, full in scale.items()]
-    markov, error = (np.stack([column[part] for column in slope], axis=2) for part in (0, 1))
+    markov, error = np.stack([each[0] for each in slope], axis=2), np.stack([each[1] for each in slope], axis=2)
     useful = _useful(markov)
-    return markov[:useful], error[:useful]
+    return markov[:useful], error[:useful], [lost for *_, lost in slope if lost]
 
 
-def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[Floats, Floats]:
-    """Return the derivative of the outputs by a pulse of one input (samples x outputs), and its error.
+def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[Floats, Floats, str]:
+    """Return the derivative of the outputs by a pulse of one input (samples x outputs), its error, and a sentence.
 
+    The sentence, which may be empty, says that small pulses have no response.
     It uses central differences: large pulses suffer from nonlinearity, small ones from rounding.
     """
     best: tuple[Floats, Floats] | None = None
-    previous, least, bend, lost_size = None, np.inf, 0.0, 0.0
+    previous, least, bend, lost = None, np.inf, 0.0, ""
     baseline = plant.respond()
     for decade in range(DECADES):
         pulse = np.zeros(inputs)
@@ -319,7 +335,10 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
         if not np.isfinite(slope).all():
             continue
         if previous is not None and previous.any() and not slope.any():
-            lost_size = abs(float(pulse[j]))
+            lost = (
+                f"The plant responds to larger pulses of {plant.names[j]!r}, but not to one of {abs(float(pulse[j])):g}: it has "
+                "a dead band there, or its outputs are rounded"
+            )
             break  # smaller pulses are lost as well; their agreement on zero is no derivative
         if previous is not None:
             error, size = np.abs(slope - previous), np.abs(slope).max(axis=0)
@@ -330,14 +349,8 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
             if relative < ENOUGH:
                 break
         previous = slope
-    if lost_size:
-        lost = (
-            f"The plant responds to larger pulses of {plant.names[j]!r}, but not to one of {lost_size:g}: it has a dead "
-            "band there, or its outputs are rounded"
-        )
-        if best is None:
-            raise ModelError(f"{lost}. Give an operating point outside it (at=...).")
-        warn_user(f"{lost}; the model is that of the larger pulses, and may be inaccurate.", PoorFitWarning)
+    if lost and best is None:
+        raise ModelError(f"{lost}. Give an operating point outside it (at=...). {WITHOUT_BAND}")
     if best is None:
         raise ModelError(
             f"The plant fails in every experiment from its steady state, in steps of {show(plant.step)} s"
@@ -349,7 +362,7 @@ def _derivative(plant: Experiments, j: int, full: float, inputs: int) -> tuple[F
             "operating point is at a limit or a kink, where no linear model fits both sides. Give another point (at=...).",
             PoorFitWarning,
         )
-    return best
+    return *best, lost
 
 
 def _useful(markov: Floats) -> int:
@@ -360,18 +373,25 @@ def _useful(markov: Floats) -> int:
     return max(SAMPLES // 5, int(beyond[0])) if len(beyond) else len(markov)
 
 
-def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floats, Floats, Floats, Floats, float]:
+def _eigensystem(
+    markov: Floats, error: Floats, order: int | None, lost: Sequence[str] = ()
+) -> tuple[Floats, Floats, Floats, Floats, float]:
     """Return the eigensystem realisation (Juang and Pappa, J. Guidance 8, 1985) of pulse responses.
+
+    The sentences `lost` about small pulses without a response explain why there is no model.
 
     It is python-control's `era`, of which importing the package takes a hundred times as long as the computation.
     """
+    reason = f"{'. '.join(lost)}. {WITHOUT_BAND} " if lost else ""
     # Scaled to largest responses of 1 for each output and input, the result does not depend on the user's units.
     rows = np.abs(markov).max(axis=(0, 2))
     rows = np.where(rows > 0, rows, 1.0)
     scaled = markov / rows[:, None]
     columns = np.abs(scaled).max(axis=(0, 1))
     if not columns.any():
-        raise ModelError(f"No input moves any of the outputs; actuate other inputs or measure other outputs. {RECORD}")
+        raise ModelError(
+            f"No input moves any of the outputs; actuate other inputs or measure other outputs. {reason}{RECORD}"
+        )
     columns = np.where(columns > 0, columns, 1.0)
     scaled, scaled_error = scaled / columns, error / rows[:, None] / columns
     half = (len(markov) - 1) // 2
@@ -382,7 +402,7 @@ def _eigensystem(markov: Floats, error: Floats, order: int | None) -> tuple[Floa
     count = int(np.sum(values > floor)) if order is None else order
     if order is None and not count:
         raise ModelError(
-            f"The plant's responses to pulses of different sizes differ too much for a linear model. {RECORD}"
+            f"The plant's responses to pulses of different sizes differ too much for a linear model. {reason}{RECORD}"
         )
     if not 1 <= count <= len(values):
         raise ModelError(
