@@ -13,12 +13,14 @@ import numpy as np
 from bayesftc.controllers.diagnosis.changes import changes
 from bayesftc.controllers.diagnosis.explanations import (
     Recording,
+    dead_zone,
     delayed,
     earlier,
     faster,
     holding,
     innovations,
     lagged,
+    played,
 )
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
@@ -71,6 +73,15 @@ LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 LOWER = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Limits to try relative to the least of these: the control may exceed its limit nearly always."""
 
+WIDTHS = (0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.45, 0.65)
+"""Widths of a dead band to try, relative to the range of the control."""
+
+BETWEEN = (0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5)
+"""Multiples of the best width in the fine search."""
+
+RARE = 5.0
+"""Percentage of the samples, at each end, that the range of a control leaves out: it may start far from where it then is."""
+
 ROUNDING = 1e-18
 """Largest variance, relative to that of another state, of a state that is known exactly: no unit makes states so different."""
 
@@ -97,10 +108,13 @@ def explanations(judge: Judge) -> list[Explanation]:
     """Return the best explanation of each kind, the best first."""
     model = judge.model
     controls = range(model.controls)
-    coarse = judge.inputs([*_late(judge), *_early(judge), *(c for j in controls for c in _limits(judge, j))])
-    fine = judge.inputs(
-        [*_late(judge, coarse), *_early(judge, coarse), *(c for j in controls for c in _limits(judge, j, coarse))]
-    )
+
+    def tried(best: list[Explanation] | None = None) -> list[Explanation]:
+        of_each = [c for j in controls for c in (*_limits(judge, j, best), *_bands(judge, j, best))]
+        return judge.inputs([*_late(judge, best), *_early(judge, best), *of_each])
+
+    coarse = tried()
+    fine = tried(coarse)
     finest = judge.inputs([c for j in controls for c in _limits(judge, j, coarse + fine)])
     results = coarse + fine + finest + _times(judge) + _pushed(judge)
     results += changes(judge, results) + offsets(judge)
@@ -462,6 +476,32 @@ def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> lis
             course = u.copy()
             course[:, j] = np.clip(u[:, j], low, high)
             results.append(("limit", (float(low), float(high), float(j)), course))
+    return results
+
+
+def _bands(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
+    """Return controls behind a play, and behind a dead zone about zero: a coarse search, or a finer one about the best."""
+    u, before = judge.recording.u, float(holding(judge.model, judge.recording.mean)[j])
+    low, high = np.percentile(u[:, j], (RARE, 100.0 - RARE))
+    about_last, about_zero = (high - low) * np.array(WIDTHS), np.zeros(0)
+    if low < 0.0 < high:  # of a control of one sign, a dead zone about zero is a load
+        about_zero = 2.0 * max(-low, high) * np.array(WIDTHS)
+    if coarse is not None:
+        bands = [x for x in coarse if x.kind == "deadband" and x.values[1] == j]
+        if not bands:
+            return []
+        width, _, last = max(bands, key=lambda x: x.total).values
+        finer = width * np.array(BETWEEN)
+        about_last, about_zero = (finer, finer[:0]) if last else (finer[:0], finer)
+    elif not high > low:
+        return []
+    moved = [(w, 1.0, behind) for w, behind in zip(about_last, played(u[:, j], about_last, before), strict=True)]
+    moved += [(w, 0.0, dead_zone(u[:, j], w)) for w in about_zero]
+    results: list[Course] = []
+    for width, last, behind in moved:
+        course = u.copy()
+        course[:, j] = behind
+        results.append(("deadband", (float(width), float(j), last), course))
     return results
 
 

@@ -1,12 +1,12 @@
 """Diagnosis of a wrong model from a recorded run: a comparison of explanations by their predictions of all sensors.
 
-Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a
-lag or a limit; the plant is faster or slower than the model; a load acts all the time, or one or two begin during the run; the
-plant has other dynamics, or nonlinear ones; noise moves it that the model does not have; all sensors of a quantity have an
-offset. The measure is the likelihood, with a free scale of the innovations (so that noise of another size has no effect), less
-the cost of the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set alone is a
-fault of its sensors. Stretches in which sensors of one quantity disagree are left out, and sensors that the others contradict
-for long. The fault probabilities of the precision learner, which a wrong model spoils, are therefore not needed.
+Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a lag, a
+limit or a dead band; the plant is faster or slower than the model; a load acts all the time, or one or two begin during the
+run; the plant has other dynamics, or nonlinear ones; noise moves it that the model does not have; all sensors of a quantity
+have an offset. The measure is the likelihood, with a free scale of the innovations (so that noise of another size has no
+effect), less the cost of the parameters (BIC). An explanation counts only with the evidence of *every* set: an error of one set
+alone is a fault of its sensors. Stretches in which sensors of one quantity disagree are left out, and sensors that the others
+contradict for long. The fault probabilities of the precision learner, which a wrong model spoils, are therefore not needed.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ FITS = 1.5
 
 COMPARING = "Comparing the samples with the model, for seconds to a minute."
 
-SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "offset"})
+SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "deadband", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
@@ -129,8 +129,9 @@ class ModelFinding:
     ----------
     kind : str
         ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
-        control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control), ``"nonlinear"`` (far from the
-        point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
+        control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control),
+        ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero), ``"nonlinear"`` (far from the point of
+        linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
         the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
         (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only if another kind would be reported
@@ -144,15 +145,16 @@ class ModelFinding:
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
         to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
-        ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the first sample (infinity: to
-        the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin, end, effect relative to the
-        model's, number of the control, and for a stuck actuator (effect near 0) the control at which it is stuck;
-        ``offset``: a value for each sensor, in its unit, 0 for those without;
-        ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control) and standard
-        deviation in a sample; or -2 and a factor of the standard deviations of the model's noise;
-        or, for a load that the model does not have: the number that its disturbance would get, the standard
-        deviation of its change in a sample, its mean (0 if there is no evidence for a mean), and the share of the model's process
-        covariance that remains beside the load; ``start``: the belief, the first sample, and the sensor; else empty.
+        ``deadband``: its whole width in the unit of the control, the control's number, and 1 if it is about where the actuator
+        stands, 0 if about zero; ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the
+        first sample (infinity: to the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin,
+        end, effect relative to the model's, number of the control, and for a stuck actuator (effect near 0) the control at
+        which it is stuck; ``offset``: a value for each sensor, in its unit, 0 for those without; ``noise``: number of the state
+        (-1 for each of the plant's; that of a disturbance is a load on a control) and standard deviation in a sample; or -2 and
+        a factor of the standard deviations of the model's noise; or, for a load that the model does not have: the number that
+        its disturbance would get, the standard deviation of its change in a sample, its mean (0 if there is no evidence for a
+        mean), and the share of the model's process covariance that remains beside the load; ``start``: the belief, the first
+        sample, and the sensor; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model. Each set of sensors that can observe the plant on its own has one; this is
         the least.

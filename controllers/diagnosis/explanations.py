@@ -196,6 +196,22 @@ def lagged(u: Floats, steps: float, before: Floats) -> Floats:
     return late
 
 
+def dead_zone(u: Floats, width: float) -> Floats:
+    """Return a control behind a dead zone of this width about zero."""
+    return u - np.clip(u, -width / 2.0, width / 2.0)
+
+
+def played(u: Floats, widths: Floats, before: float) -> Floats:
+    """Return a control behind plays of some widths (widths x T), each of which begins at the control `before`.
+
+    What is behind a play moves only when the control reaches an end of it: an actuator with a dead band about where it stands.
+    """
+    moved, last = np.empty((len(widths), len(u))), np.full(len(widths), before)
+    for k, (low, high) in enumerate(zip(u[:, np.newaxis] - widths / 2.0, u[:, np.newaxis] + widths / 2.0, strict=True)):
+        last = moved[:, k] = np.minimum(np.maximum(last, low), high)
+    return moved
+
+
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
     """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm."""
     from scipy.linalg import expm

@@ -68,6 +68,9 @@ ELSEWHERE = (
 )
 """The same, where the controller already estimates a load at the control."""
 
+PLAY = " A dead band, stiction or play of the actuator may look the same: compare the control and the position of the actuator."
+"""What may be the cause where the plant follows the control late, slowly or weakly."""
+
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
     "recording that moves as this one does (bayesftc monitor --fit). If it is fitted to this one, it is too simple for it: trust "
@@ -99,6 +102,7 @@ def sentence(
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "load": partial(_load, units=control_units),
+        "deadband": partial(_deadband, units=control_units),
         "loss": partial(_loss, units=control_units),
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state),
         "noise": partial(_noise, units=control_units),
@@ -114,8 +118,15 @@ def sentence(
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
     whole = {"noise", *(("gain", "sign") if kind == "loss" else ())}
+    slow = moved and not recorded and any(_looks_like_play(*each) for each in found)
+    played = PLAY if slow and all(each != "deadband" for each, _ in found) else ""
     either = "".join(f" Or, {AS_MUCH if said[text] in whole else AS_LIKELY}: {text}" for text in more)
-    return f"{which}: {first}{either}{actuators}{_alone(model)}"
+    return f"{which}: {first}{either}{played}{actuators}{_alone(model)}"
+
+
+def _looks_like_play(kind: str, values: Sequence[float]) -> bool:
+    """Return whether play of the actuator may look like a finding: the control acts late, slowly or weakly."""
+    return kind == "late" or (kind in ("dt", "gain") and values[0] < 1.0)
 
 
 def _actuators(
@@ -274,6 +285,25 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
     return (
         f"the plant does not get {named(values[2], model)} where it is {beyond(values)}. The actuator has a limit that the "
         "controller does not have. Give it as u_min and u_max."
+    )
+
+
+def _deadband(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    width, j, about_last = values
+    control, unit = named(j, model), behind(units[int(j)]) if len(units) == model.controls else ""
+    if about_last:
+        how = (
+            f"the actuator seems to have a dead band, stiction or play of about {width:.2g}{unit} in all: when {control} turns "
+            "round, the plant follows only after that change"
+        )
+    else:
+        how = (
+            f"the actuator seems to have a dead zone about zero: the plant does not get {control} between {-width / 2:.2g} and "
+            f"{width / 2:.2g}{unit}, and less of it beyond"
+        )
+    return (
+        f"{how}. Compare {control} and the position of the actuator. No linear model can contain this: mend the actuator, or "
+        "weaken the control and simulate with the dead band (docs/how-to/actuator-faults.md)."
     )
 
 

@@ -58,6 +58,19 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
     return f"the plant does not follow {_input(values[2], model)} where it is {beyond(values)}: something behind it has a limit."
 
 
+def _deadband(values: Sequence[float], model: LinearModel) -> str:
+    name, (width, _, about_last) = _input(values[1], model), values
+    if about_last:
+        return (
+            f"when {name} turns round, the plant follows only after a change of about {width:.2g}: something behind it seems to "
+            "have a dead band, stiction or play."
+        )
+    return (
+        f"the plant does not follow {name} between {-width / 2:.2g} and {width / 2:.2g}: something behind it seems to have a "
+        "dead zone."
+    )
+
+
 def _loss(values: Sequence[float], model: LinearModel) -> str:
     name = _input(values[3], model)
     if len(values) > STUCK_AT:
@@ -103,6 +116,7 @@ OF_INPUTS: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
     "late": _late,
     "early": _early,
     "limit": _limit,
+    "deadband": _deadband,
     "load": _load,
     "onset": _onset,
     "loss": _loss,

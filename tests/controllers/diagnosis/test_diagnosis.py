@@ -1471,3 +1471,49 @@ def test_offsets_of_several_quantities_are_doubted_first():
     assert "a load that acts elsewhere than the control" in words
     assert "disturbance=True" not in words
     assert "more likely faults of single sensors" in sentence("offset", (1.0, 3.0, 2.0, 2.0), model)
+
+
+def _play(u, w, width):
+    """Return where a part stands that is loose by `width` about the one that moves it."""
+    return u - width / 2 if u > w + width / 2 else u + width / 2 if u < w - width / 2 else w
+
+
+def _about_zero(u, w, width):
+    return np.sign(u) * max(abs(u) - width / 2, 0.0)
+
+
+def _behind(actuator, width, seed):
+    """Return a model, and samples and controls of its plant behind an actuator that the model lacks."""
+    rng = np.random.default_rng(seed)
+    model = controllers.LinearModel([[0.95]], [[0.05]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    x, w, y, u = 0.0, 0.0, np.empty((600, 2)), np.empty((600, 1))
+    for k in range(600):
+        y[k] = x + 0.1 * rng.standard_normal(2)
+        u[k] = 4.0 * (np.sign(np.sin(k / 25)) - y[k].mean())
+        w = actuator(u[k, 0], w, width)
+        x = 0.95 * x + 0.05 * w + 0.01 * rng.standard_normal()
+    return model, y, u
+
+
+@pytest.mark.parametrize(("actuator", "width", "last"), [(_play, 0.8, 1.0), (_about_zero, 1.6, 0.0)])
+def test_a_dead_band_of_the_actuator_is_named(actuator, width, last):
+    model, y, u = _behind(actuator, width, 0)
+    finding = diagnose_recording(model, y, u)
+    assert finding.kind == "deadband"
+    assert finding.values == (pytest.approx(width, rel=0.2), 0.0, last)
+    assert "Compare the control and the position of the actuator" in finding.sentence
+    assert "dead" in diagnose_inputs(model, y, u, np.zeros(1)).sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_right_actuator_has_no_dead_band(seed):
+    assert diagnose_recording(*_behind(_play, 0.0, seed)) is None
+
+
+def test_a_dead_band_is_named_beside_what_looks_like_it():
+    model = controllers.LinearModel([[0.95]], [[0.05]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
+    play = "A dead band, stiction or play of the actuator may look the same"
+    for kind, values, so in (("late", (0.2, 1.0), 1), ("dt", (0.4,), 1), ("dt", (2.5,), 0), ("gain", (0.5, 0), 1)):
+        assert sentence(kind, values, model).count(play) == so, (kind, values)
+    assert play not in sentence("late", (0.2, 0.0), model, [("deadband", (0.8, 0.0, 1.0))])
+    assert play not in sentence("late", (0.2, 0.0), model, recorded=True)
