@@ -69,7 +69,7 @@ ELSEWHERE = (
 """The same, where the controller already estimates a load at the control."""
 
 PLAY = " A dead band, stiction or play of the actuator may look the same: compare the control and the position of the actuator."
-"""What may be the cause where the plant follows the control late, slowly or weakly."""
+"""What may be the cause where the plant follows the control late, slowly or weakly, or a load on it changes all the time."""
 
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
@@ -118,15 +118,16 @@ def sentence(
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
     whole = {"noise", *(("gain", "sign") if kind == "loss" else ())}
-    slow = moved and not recorded and any(_looks_like_play(*each) for each in found)
+    slow = moved and not recorded and any(_looks_like_play(*each, model) for each in found)
     played = PLAY if slow and all(each != "deadband" for each, _ in found) else ""
     either = "".join(f" Or, {AS_MUCH if said[text] in whole else AS_LIKELY}: {text}" for text in more)
     return f"{which}: {first}{either}{played}{actuators}{_alone(model)}"
 
 
-def _looks_like_play(kind: str, values: Sequence[float]) -> bool:
-    """Return whether play of the actuator may look like a finding: the control acts late, slowly or weakly."""
-    return kind == "late" or (kind in ("dt", "gain") and values[0] < 1.0)
+def _looks_like_play(kind: str, values: Sequence[float], model: LinearModel) -> bool:
+    """Return whether play may look like a finding: the control acts late, slowly or weakly, or a load on it changes."""
+    weak, on_control = kind in ("dt", "gain"), model.states - model.disturbances
+    return kind == "late" or (weak and values[0] < 1.0) or (kind == "noise" and values[0] >= on_control)
 
 
 def _actuators(

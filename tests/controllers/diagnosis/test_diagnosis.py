@@ -1513,7 +1513,9 @@ def test_a_right_actuator_has_no_dead_band(seed):
 def test_a_dead_band_is_named_beside_what_looks_like_it():
     model = controllers.LinearModel([[0.95]], [[0.05]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
     play = "A dead band, stiction or play of the actuator may look the same"
-    for kind, values, so in (("late", (0.2, 1.0), 1), ("dt", (0.4,), 1), ("dt", (2.5,), 0), ("gain", (0.5, 0), 1)):
+    load = (1.0, 0.1, 0.0, 1.0)  # on the control, behind the one state of the plant
+    cases = (("late", (0.2, 1.0), 1), ("dt", (0.4,), 1), ("dt", (2.5,), 0), ("gain", (0.5, 0), 1), ("noise", load, 1))
+    for kind, values, so in (*cases, ("noise", (0.0, 0.1), 0)):
         assert sentence(kind, values, model).count(play) == so, (kind, values)
     assert play not in sentence("late", (0.2, 0.0), model, [("deadband", (0.8, 0.0, 1.0))])
     assert play not in sentence("late", (0.2, 0.0), model, recorded=True)
