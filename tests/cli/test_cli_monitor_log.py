@@ -166,19 +166,26 @@ def test_the_fitted_motion_is_that_of_the_samples_and_has_a_unit(table, tmp_path
     log = write(tmp_path, table)[1]
     done = invoke("monitor", log, "--fit", "--model", tmp_path / "walk.toml", "--to", 1400)
     change = re.search(
-        r"changes by about (\S+) degC from one sample to the next \(5 s\), at random \(Rand", words(done)
+        r"changes by about (\S+) degC in one second \((\S+) degC in a sample of 5 s\), at random \(Rand", words(done)
     )
     assert change is not None
-    assert float(change[1]) == pytest.approx(0.05, rel=0.3)  # of the fixture
+    assert float(change[2]) == pytest.approx(0.05, rel=0.3)  # of the fixture
+    assert float(change[1]) == pytest.approx(float(change[2]) / 5**0.5, rel=0.1)
     assert "Noise, lasting errors, bias and resolution are in degC." in done.stdout
     text = (tmp_path / "walk.toml").read_text(encoding="utf-8")
-    assert f"of its change in one second, in degC; in 5 s: {change[1]}\n" in text
+    assert f"of its change in one second, in degC; in 5 s: {change[2]}\n" in text
     smooth = 60.0 + 20.0 * np.sin(np.arange(600) / 40)
     log = write(tmp_path, table.assign(**{name: table[name] - table[SENSORS[0]] + smooth for name in SENSORS}))[1]
     done = invoke("monitor", log, "--fit", "--model", tmp_path / "rate.toml", "--to", 1400)
-    assert re.search(
-        r"The rate .* degC/s from one sample to the next \(5 s\), at random \(ConstantRate\)\.", words(done)
+    change = re.search(
+        r"The rate .* by about (\S+) degC/s in one second, at random \(ConstantRate\)\. It often changes less",
+        words(done),
     )
+    assert change is not None
+    (std,) = re.findall(
+        r"^std = (\S+)  # of the rate's change in one second", (tmp_path / "rate.toml").read_text("utf-8"), re.M
+    )
+    assert float(change[1]) == pytest.approx(float(std), rel=0.06)
 
 
 @pytest.mark.slow

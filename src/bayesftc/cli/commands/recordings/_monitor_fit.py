@@ -21,6 +21,7 @@ from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.local_dates import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
 from bayesftc.cosim.base.timebase import spoken
+from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.errors import RecordingError, ResultFileError
 from bayesftc.monitoring import (
     FittedModel,
@@ -448,12 +449,14 @@ def _gaps(recording: Recording) -> str:
 
 
 def _motion(fitted: FittedModel, unit: str, dt: float) -> str:
-    """Return a sentence about the motion from one step to the next: a random walk has no change per second."""
+    """Return a sentence about the motion in one second, as in the model file, and of a random walk also in a step."""
     what, plant = (
-        ("The rate of the quantity", f"{unit}/s" if unit else "per second") if fitted.belief else ("The quantity", unit)
+        ("The rate of the quantity", f" {unit}/s" if unit else " per second")
+        if fitted.belief
+        else ("The quantity", behind(unit))
     )
-    change = f"{fitted.plant.std * dt**0.5:.2g} {plant}".rstrip()
-    how = f"from one sample to the next ({dt:g} s), at random ({type(fitted.plant).__name__})."
+    step = "" if fitted.belief or dt == 1.0 else f" ({fitted.plant.std * dt**0.5:.2g}{plant} in a sample of {dt:g} s)"
+    how = f"{fitted.plant.std:.2g}{plant} in one second{step}, at random ({type(fitted.plant).__name__})."
     if not fitted.moves:
-        return f"From sample to sample no motion is visible above the noise. {what} may change by about {change} {how}"
-    return f"{what} changes by about {change} {how}"
+        return f"From sample to sample no motion is visible above the noise. {what} may change by about {how}"
+    return f"{what} changes by about {how} It often changes less: this is an upper quantile over the recording."
