@@ -1054,3 +1054,19 @@ def test_only_two_sensors_of_which_each_may_be_the_faulty_one_disagree():
     ):  # fmt: skip
         found = list(disagreements(recording, np.tile(row, (len(recording.y), 1)), Alarm(threshold=threshold)))
         assert len(found) == count
+
+
+def test_a_sensor_finds_its_column_without_the_unit(tmp_path):
+    monitor = Monitor(
+        0.1, Integrator(std=0.2), {"a": Sensor(std=0.1), "b": Sensor(std=0.1, unit="m")},
+        {"v": Input(column="speed")},
+    )  # fmt: skip
+    log = tmp_path / "log.csv"
+    log.write_text("t,a [m],b [cm],speed [m/s]\n0.0,1.0,200.0,3.0\n0.1,1.5,250.0,3.5\n", encoding="utf-8")
+    sensors, inputs = monitor.signals(log)
+    assert [values.tolist() for values in (sensors["a"].values, sensors["b"].values)] == [[1.0, 1.5], [2.0, 2.5]]
+    assert sensors["a"].unit == "m"
+    assert inputs["v"].values.tolist() == [3.0, 3.5]
+    log.write_text("t,a [m],a [km],b,speed\n0.0,1.0,1.0,2.0,3.0\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"'a' can be 'a \[km\]' or 'a \[m\]'"):
+        monitor.signals(log)

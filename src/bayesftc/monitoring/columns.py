@@ -35,7 +35,7 @@ class Column:
     file : str, optional
         Name of its CSV file; not needed if there is only one.
     column : str, optional
-        Its column; by default the signal's name.
+        Its column; by default the signal's name. A unit in brackets at its end may be left out.
     time : str, optional
         The column of its time stamps; by default the monitor's.
     bias : float

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.invalid import invalid_values, numbers_of, without_texts
 from bayesftc.cosim.base.paths import exists, expanded, is_file, is_folder
+from bayesftc.cosim.base.recordings.columns import column_called
 from bayesftc.cosim.base.recordings.csv_form import CsvForm, cells_of, form_of
 from bayesftc.cosim.base.recordings.dates import are_dates, as_seconds, epoch_seconds, other_date
 from bayesftc.cosim.base.recordings.held import least_change
@@ -149,6 +150,17 @@ class Tables:
             names += [f.name for folder in self._files if is_folder(folder) for f in folder.glob("*.csv")]
             raise RecordingError(f"{signal} is in {name!r}, which is not among the files; {did_you_mean(name, names)}")
         return matches[0]
+
+    def called(self, name: str, file: str | None, signal: str) -> str:
+        """Return a column's name in the file of this name, or in any: it may have a unit in brackets that `name` lacks.
+
+        Raises
+        ------
+        RecordingError
+            If several columns have this name before a unit, or the file does not exist.
+        """
+        files = self.files() if file is None else [self.find(file, signal)]
+        return column_called(name, dict.fromkeys(each for file in files for each in self.names(file))) or name
 
     def having(self, name: str | None, column: str, signal: str) -> list[Path]:
         """Return the file with this name; without one the files that have a column, whose rows follow each other."""

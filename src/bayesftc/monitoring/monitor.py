@@ -369,7 +369,8 @@ class Monitor:
         tables, cells = Tables(paths), dict[str, Floats]()
 
         def signal(name: str, given: Column, what: str, **more: Any) -> Signal:
-            title, column = f"The {what} {name!r}", given.column or name
+            title = f"The {what} {name!r}"
+            column = tables.called(given.column or name, given.file, title)
             files = tables.having(given.file, column, title)
             of_files = [tables.times(file, given.time or self.time, f" of the {what} {name!r}") for file in files]
             order = in_order(of_files)
@@ -383,6 +384,7 @@ class Monitor:
             file = files[0]
             if what == "sensor":
                 cells[name] = logged
+                more["unit"] = more["unit"] or column_unit(column)
             values = in_unit(logged, column, more["unit"])
             try:
                 return Signal(
@@ -399,7 +401,7 @@ class Monitor:
                 resolution=s.resolution,
                 period=s.period,
                 held=s.held,
-                unit=s.unit or column_unit(s.column or name),
+                unit=s.unit,
             )
             for name, s in self.sensors.items()
         }
