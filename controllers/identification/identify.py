@@ -198,7 +198,7 @@ def identify(
     moving = LinearModel(A, B / u_size, C, (Q + Q.T) / 2, R, step, names=names)
     model = moving.about(np.zeros(moving.states), u_mean, (y_mean + y_size * offset)[of], following=drift)
     doubts = _doubts(v, z, (u[split:] - u_mean) / u_size, len(A), past, names_in)
-    apart = quantities.deviations(y[:split], weights, noise)
+    apart = quantities.deviations(y, split, weights, noise)
     doubts += [sentence for sentences in apart.values() for sentence in sentences]
     identification = _validated(
         model,
@@ -350,8 +350,9 @@ def _validated(
     for i, name in enumerate(outputs):
         floor = 1e-9 * spread[i]
         higher, other = "Try a higher order.", "Try a higher order; else the plant is not linear, or has changed."
+        moved = "Check whether the inputs move it."
         if name in apart:
-            higher = other = f"The difference between the sensors of {apart[name]} may be the cause."
+            higher = other = moved = f"The difference between the sensors of {apart[name]} may be the cause."
         if errors[i] > WORSE * yardstick[i] + floor:
             poor.append(
                 f"{name}: on held-out data the errors are {errors[i] / max(yardstick[i], floor):.2g} times those of a long "
@@ -361,9 +362,7 @@ def _validated(
         if errors[i] > floor and tests[i][1] > limit:
             poor.append(f"{name}: residuals have an autocorrelation of {tests[i][1]:.2g}. {higher}")
         if errors[i] > 0.9 * spread[i]:
-            poor.append(
-                f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it; check whether the inputs move it."
-            )
+            poor.append(f"{name}: the model explains {100 * (1 - errors[i] / spread[i]):.0f} % of it. {moved}")
     if poor:
         warnings.warn("The identified model may be poor. " + " ".join(poor), PoorFitWarning, stacklevel=4)
     return Identification(

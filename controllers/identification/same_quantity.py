@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.fitting.offsets import STEADY, levels_of_parts
+from bayesftc.cosim.fitting.offsets import PARTS, STEADY, levels_of_parts
 from bayesftc.cosim.run.tables import named_columns
 from bayesftc.cosim.statistics._whiteness import FEW
 from bayesftc.cosim.types import Floats
@@ -102,15 +103,20 @@ class Quantities:
         whole = common[np.ix_(self.of, self.of)] + np.diag(np.where(self.alone, 0.0, noise))
         return np.asarray(np.linalg.solve(whole, (K @ S)[:, self.of].T).T), whole
 
-    def deviations(self, y: Floats, weights: Floats, noise: Floats) -> dict[str, list[str]]:
-        """Return, for each quantity with such sensors, sentences about those whose reading is not the common one."""
+    def deviations(self, y: Floats, split: int, weights: Floats, noise: Floats) -> dict[str, list[str]]:
+        """Return, for each quantity with such sensors, sentences about those whose reading is not the common one.
+
+        A difference counts if it is there in the whole recording, or in the held-out part, from the row `split` on.
+        """
         found: dict[str, list[str]] = {}
         off = y - self.fused(y, weights)[:, self.of]
         for places in self._groups():
-            levels, name = levels_of_parts(off[:, places]), self.names[self.of[places[0]]]
+            levels, held = (levels_of_parts(off[begin:, places]) for begin in (0, split))
+            name, scatter = self.names[self.of[places[0]]], _scatter(y[:, places])
             common = f"the {'mean' if len(places) == 2 else 'median'} of the sensors of {name}"
-            for i, own in zip(places, levels.T, strict=True):
-                if len(own) and max(abs(np.mean(own)), abs(np.median(own))) > APART * noise[i] ** 0.5:
+            for i, own, late, most in zip(places, levels.T, held.T, scatter, strict=True):
+                typical = [abs(of(part)) for part in (own, late) if len(part) for of in (np.mean, np.median)]
+                if len(own) and max(typical) > APART * min(noise[i] ** 0.5, most):
                     found.setdefault(name, []).append(f"{self.columns[i]}: {_deviation(own, common)}")
         return found
 
@@ -205,6 +211,21 @@ def _noise(y: Floats, names: Sequence[str]) -> Floats:
     else:
         found = np.linalg.lstsq(rows, sums, rcond=None)[0]
     return np.asarray(np.maximum(found, LEAST * found.max()))
+
+
+def _scatter(y: Floats) -> Floats:
+    """Return the most that the noise of sensors of one quantity has (standard deviation), without outliers; infinite if unknown.
+
+    A value that stands for a missing sample, such as -9999, makes the variance of the noise very large.
+    """
+    together = y[np.isfinite(y).all(axis=1)]
+    if len(together) < FEW:
+        return np.full(y.shape[1], np.inf)
+    off = together - np.median(together, axis=1, keepdims=True)
+    within = np.concatenate([np.abs(part - np.median(part, axis=0)) for part in np.array_split(off, PARTS)])
+    # Half the difference of two sensors has at least half the standard deviation of each.
+    found = 2.0 * MAD * np.median(within, axis=0)
+    return np.where(found > 0.0, found, np.inf)
 
 
 def _shares(y: Floats) -> Floats:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from bayesftc.controllers.models.checks import ROWS, Matrix, as_covariance, as_matrix, as_numbers, as_vector, frozen
 from bayesftc.controllers.models.delays import Delays, with_delays
 from bayesftc.controllers.models.disturbances import with_loads, with_sensor_errors
+from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.arguments import NamedArguments
 from bayesftc.cosim.base.html import Printed, settings
 from bayesftc.cosim.base.numbers import counted
@@ -629,18 +630,19 @@ class LinearModel(Printed, NamedArguments):
         """
         from bayesftc.controllers.identification.identify import identify
 
-        return identify(
-            data,
-            inputs=inputs,
-            outputs=outputs,
-            order=order,
-            dt=dt,
-            time=time,
-            held_out=held_out,
-            past=past,
-            input_delays=input_delays,
-            sensor_delays=sensor_delays,
-        )
+        with reported("Identifying a model of the recording, for seconds to a minute."):
+            return identify(
+                data,
+                inputs=inputs,
+                outputs=outputs,
+                order=order,
+                dt=dt,
+                time=time,
+                held_out=held_out,
+                past=past,
+                input_delays=input_delays,
+                sensor_delays=sensor_delays,
+            )
 
     def with_disturbance(self, covariance: Matrix = 1e-4) -> LinearModel:
         """Return the model with an unknown disturbance on each control, which the controller then estimates.

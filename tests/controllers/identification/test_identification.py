@@ -15,6 +15,7 @@ from bayesftc.controllers.identification.excitation import nearly_sines, order_o
 from bayesftc.controllers.identification.gaps import identify_with_gaps
 from bayesftc.controllers.identification.gaps_kernels import smooth
 from bayesftc.controllers.identification.independent_noise import independent_noise
+from bayesftc.cosim.base import announcing
 from bayesftc.cosim.errors import ModelError, RecordingError, StepSizeError, UnknownNameError
 
 A = np.array([[0.9, 0.2], [-0.2, 0.8]])
@@ -328,6 +329,14 @@ def test_a_run_of_an_fmu_is_a_recording():
     np.testing.assert_allclose(np.diag(found.model.matrix("sensor_covariance")), 1e-4, rtol=0.1)
 
 
+def test_a_slow_identification_says_what_it_does(monkeypatch, caplog):
+    monkeypatch.setattr(announcing, "PATIENCE", 0.0)
+    table, names = record(3000)
+    with caplog.at_level("INFO", logger="bayesftc"):
+        LinearModel.identify(table, **names)
+    assert "Identifying a model of the recording" in caplog.text
+
+
 def test_a_poor_fit_is_said():
     table, names = record(3000)
     with pytest.warns(
@@ -338,7 +347,7 @@ def test_a_poor_fit_is_said():
     assert f"p-value {found.whiteness[0]:.2g}." in found.describe()
     table["u0"] = np.random.default_rng(0).normal(size=3000)
     table["y0"] = np.random.default_rng(1).normal(size=3000)
-    with pytest.warns(PoorFitWarning, match="check whether the inputs move it"):
+    with pytest.warns(PoorFitWarning, match="% of it. Check whether the inputs move it"):
         LinearModel.identify(table, inputs="u0", outputs="y0", order=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

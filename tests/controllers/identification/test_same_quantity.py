@@ -173,3 +173,19 @@ def test_a_difference_between_sensors_is_not_blamed_on_order_or_plant(first):
     assert not any("higher order" in sentence for sentence in poor)
     with pytest.warns(PoorFitWarning, match="d: on held-out data .* Try a higher order; else"):
         LinearModel.identify(table, inputs="u", outputs=outputs, order=1)
+
+
+@pytest.mark.parametrize("invalid", [False, True])
+def test_a_drift_in_the_held_out_part_is_not_blamed_on_the_inputs(invalid):
+    """The drift begins after the part for learning. A few cells with -9999 make the noise of their sensor very large."""
+    table = record()
+    begin = round(0.72 * len(table))
+    table.loc[begin:, "b"] += np.linspace(0.0, 60.0, len(table) - begin)
+    if invalid:
+        table.loc[300:310, "a"] = -9999.0
+    with pytest.warns(PoorFitWarning):
+        poor = LinearModel.identify(table, inputs="u", outputs={"level": ["a", "b"], "flow": "d"}, order=2).poor
+    assert sum("its difference from the mean of the sensors of level changes" in sentence for sentence in poor) == 2
+    of_level = [sentence for sentence in poor if sentence.startswith(("a:", "b:"))]
+    assert any(": the model explains -" in sentence for sentence in of_level)
+    assert not any("inputs move it" in sentence or "higher order" in sentence for sentence in of_level)
