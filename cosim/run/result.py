@@ -48,8 +48,9 @@ _TABLES = frozenset({".csv", ".tsv", ".xlsx", ".parquet", ".json", ".mat"})
 DIAGNOSE = "controllers.diagnose(result, loop)"
 """The call that looks for an error of the model; its room is above this one, and it takes seconds."""
 ESTIMATE_A_LOAD = (
-    "Where nobody knows the error, an estimated load, or a larger one (disturbance in design, model.with_disturbance), takes up "
-    "much of what acts where the control does, and noise= of further inputs what acts there."
+    "Where nobody knows the error, let the controller estimate a load, or a larger one (disturbance in design, "
+    "model.with_disturbance): it takes up much of what acts where the control does. For what acts elsewhere, give the plant that "
+    "you design for an input there. Name this input in loads= if the load lasts, and in noise= if it changes at random."
 )
 """What often helps where nobody knows the error."""
 

@@ -25,7 +25,7 @@ FINDINGS_REMARK = (
 )
 MANY_ALARMS, ALARMS_REMARK = (
     5,
-    " Alarms: how many a row has; many short ones may be outliers, of which the last decides the size.",
+    " Alarms: how many a row contains. Many short alarms may be outliers; the size is then that of the last one.",
 )
 """Alarms in a row from which on the table has their number, and what it says."""
 UNIT_REMARKS = {

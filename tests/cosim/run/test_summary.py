@@ -355,7 +355,7 @@ def test_outliers_are_told_from_a_lasting_offset_by_the_number_of_their_alarms()
     assert longest["alarms"] == np.sum(np.diff((p[inside] >= 0.5).astype(int), prepend=0) == 1) > 5
     text = repr(result.summary())
     assert "probability  alarms" in text
-    assert "many short ones may be outliers" in text
+    assert "Many short alarms may be outliers" in text
 
 
 def test_an_alarm_of_the_process_is_explained_below_the_table():
