@@ -29,7 +29,7 @@ from bayesftc.controllers.switching.fault_modes import (
     Unmodelled,
 )
 from bayesftc.controllers.switching.filter_share import filter_share
-from bayesftc.controllers.switching.forgotten import unsampled_variances
+from bayesftc.controllers.switching.forgotten import most_variances
 from bayesftc.controllers.switching.given import (
     as_actuator_modes,
     as_fault_modes,
@@ -373,7 +373,7 @@ class SwitchingPrecision(PrecisionLearner):
         settings.append(min(1.0, self.gain_limit * filter_share(model)) if any(layout.fades) else 1.0)
         if process_modes:
             settings += [self.start_doubt, *model.state_at_samples.ravel().tolist(), *model.unread.tolist()]
-            settings += unsampled_variances(model).tolist()
+            settings += most_variances(model).tolist()
         return Learner(
             learn,
             kept,

@@ -35,8 +35,8 @@ class NoisierProcess:
     fading : float
         Factor of the predicted covariance of the plant's states at each sample in this mode (Sorenson and Sacks, Information
         Sciences 3, 1971). Steps without a sample of any sensor do not count. Steps do not count either if the covariance reaches
-        a hundred times the variance of a sensor's noise, as for a state that no sensor sees any more, nor for a state that
-        is as uncertain as without any sample.
+        a hundred times the variance of a sensor's noise, as for a state that no sensor sees any more, nor for a state whose
+        variance reaches a hundred times that without any sample.
 
     Raises
     ------

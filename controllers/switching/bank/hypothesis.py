@@ -16,7 +16,8 @@ from bayesftc.cosim.types import Floats
 PROBABILITY, OFFSET_AGE, STATE = 0, 1, 2
 
 FADED = 100.0
-"""Largest variance of a reading, in units of the noise variance, up to which a belief fades; else unseen states would diverge."""
+"""Largest variance up to which a belief fades: of a reading in units of the noise variance, else unseen states would diverge;
+and of a state in units of its variance without any sample (`most_variances`)."""
 
 VAGUE = 2.0
 """Variance of a reading, in units of another hypothesis's variance of the sample, from which on a belief is `vague` beside it."""

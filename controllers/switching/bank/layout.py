@@ -228,7 +228,7 @@ class Layout:
 
     @property
     def most(self) -> int:
-        """Place in the settings of the variance of each state without any sample, up to which a belief fades."""
+        """Place in the settings of the variance of each state up to which a belief fades."""
         return self.unread + self.n
 
     @property
