@@ -54,8 +54,8 @@ class LQGController(BayesianController):
     steady state are those of the remaining states.
 
     With fewer goals than controls, u_ss is the cheapest solution. The steady state (x_ss, u_ss) allows for estimated
-    disturbances (`LinearModel.with_disturbance`) and for actuator faults that the precision learner infers. They therefore leave
-    no steady error.
+    disturbances (`LinearModel.with_disturbance`), for states that decay by themselves and that no control moves (the ``loads`` of
+    `design`), and for actuator faults that the precision learner infers. They therefore leave no steady error.
 
     Ports are those of `BayesianController`, with one element of ``goal`` for each goal. An element that is NaN keeps its last
     value; before the first value it is the output at the initial mean.
@@ -241,11 +241,11 @@ class LQGController(BayesianController):
 
     def _target_rule(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         regulator, H = self.regulator, self.goal_matrix
-        root, plant = regulator.root, self.model.states - self.model.disturbances
+        root = regulator.root
         p, mean = self.model.controls, np.asarray(self.initial_mean)
         targets = {
-            "x_target": root @ np.hstack([regulator.x_of_goal, np.zeros((plant, plant)), regulator.x_of_others]),
-            "u_target": np.hstack([regulator.u_of_goal, np.zeros((p, plant)), regulator.u_of_others]),
+            "x_target": root @ np.hstack([regulator.x_of_goal, regulator.x_of_loads, regulator.x_of_others]),
+            "u_target": np.hstack([regulator.u_of_goal, regulator.u_of_loads, regulator.u_of_others]),
         }
         # Each row has the goals of a time, the present one first; NaN before the first sample.
         held = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])

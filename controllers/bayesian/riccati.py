@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesftc.controllers.bayesian.stabilisability import refuse_unseen_by_goal
 from bayesftc.controllers.linalg.lyapunov import stationary_covariance
@@ -12,8 +13,12 @@ from bayesftc.controllers.linalg.riccati import is_covariance
 from bayesftc.controllers.models.integrators import Quotient, without_integrators
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
+
+ROUNDING = 1e-13
+"""Effect on a state, in balanced units, up to which it is one of rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +27,9 @@ class Regulator:
 
     Let x be the plant's states, z the model's other states (disturbances, the constant) and r the goal. The steady state is
     ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
+    States that decay by themselves and that no control moves, such as a load that lasts, belong to the steady state as well:
+    their own counteraction, ``u_of_loads x``, has no cost. In the one-step posterior it is the mean of the control, and
+    ``x_of_loads x`` that of the next state. ``gain`` contains both.
     Integrators that the goals do not see (the position behind a speed) never settle. ``regulated`` is the plant's state space
     without them. All else is computed in it, and neither cost nor law depends on them.
     """
@@ -32,6 +40,8 @@ class Regulator:
     x_of_others: Floats
     u_of_goal: Floats
     u_of_others: Floats
+    x_of_loads: Floats
+    u_of_loads: Floats
     regulated: Quotient | None = None
 
     @property
@@ -87,9 +97,21 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         raise ModelError("The goals see no state of the plant, so no control moves them. Set goals for other outputs.")
     refuse_unseen_by_goal(A, H)
     try:
-        cost = H.T @ output_cost @ H
-        solution = np.asarray(solve_discrete_are(A, B, cost, input_cost))
-        solution = (solution + solution.T) / 2
+        n, loads = len(A), _loads(A, B)
+        solution = solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost)
+        x_of_loads, u_of_loads = np.zeros((n, n)), np.zeros((B.shape[1], n))
+        if loads.any():
+            # In deviations from the steady state of the present loads, only their change moves the plant, and nothing is seen.
+            moved, E = ~loads, A[np.ix_(loads, loads)]
+            held = np.vstack([A[np.ix_(moved, loads)], -H[:, loads]])
+            of_moved = A[np.ix_(moved, moved)], B[moved], H[:, moved]
+            steady = _steady(*of_moved, input_cost, held, _units(solution)[moved])[1]
+            X, u_of_loads[:, loads] = steady[: moved.sum()], steady[moved.sum() :]
+            x_of_loads[np.ix_(moved, loads)] = X @ E
+            A, H = A.copy(), np.where(loads, 0.0, H)
+            A[np.ix_(moved, loads)] = X - X @ E
+            solution = solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost)
+        cost, solution = H.T @ output_cost @ H, np.asarray((solution + solution.T) / 2, dtype=np.float64)
         gain = np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A)
         P = np.asarray(_of_law(A, B, gain, cost, input_cost, solution), dtype=np.float64)
         gain = np.asarray(np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A), dtype=np.float64)
@@ -99,9 +121,11 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             "of the weights of goals and controls nearer to each other."
         ) from None
     to_goal, to_others = _steady(A, B, H, input_cost, others, _units(solution))
-    n = len(A)
+    if loads.any():
+        gain = gain - u_of_loads
+        gain[:, loads] -= gain[:, moved] @ X
     if reduced is None:
-        return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:])
+        return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:], x_of_loads, u_of_loads)
     return Regulator(
         reduced.rows.T @ P @ reduced.rows,
         gain @ reduced.rows,
@@ -109,8 +133,19 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         reduced.back @ to_others[:n],
         to_goal[n:],
         to_others[n:],
+        reduced.back @ x_of_loads @ reduced.rows,
+        u_of_loads @ reduced.rows,
         reduced,
     )
+
+
+def _loads(A: Floats, B: Floats) -> NDArray[np.bool_]:
+    """Return whether each state decays by itself, without a control or another state that moves it by more than rounding."""
+    same, units = balanced(A)
+    others = np.abs(same - np.diag(np.diag(same)))
+    effects = np.abs(B) / units[:, None]
+    moved = (others > ROUNDING).any(axis=1) | (effects > ROUNDING * effects.max(axis=0)).any(axis=1)
+    return np.asarray(~moved & (np.abs(np.diag(A)) < 1.0))
 
 
 def _of_law(A: Floats, B: Floats, gain: Floats, state_cost: Floats, input_cost: Floats, P: Floats) -> Floats:

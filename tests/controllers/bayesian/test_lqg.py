@@ -6,7 +6,7 @@ import warnings
 import control
 import numpy as np
 import pytest
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers import BayesianController, FixedPrecision, LinearModel, LQGController
@@ -409,15 +409,18 @@ def test_the_law_that_runs_is_that_of_the_riccati_equation_in_any_unit(unit, acc
         plant, measured="angle", actuated="torque", dt=0.02, sensors=2, sensor_std=unit, noise={"gust": 110.0, "torque": 0.5},
         acceptable_error=acceptable * unit, acceptable_control=10.0, precision=controllers.FixedPrecision(),
     )  # fmt: skip
-    model, states = controller.model, np.array([unit, unit, 1.0])
-    A, B = model.A / states[:, None] * states, model.B / states[:, None]
-    cost = np.diag([1.0 / acceptable**2, 0.0, 0.0])
-    P = solve_discrete_lyapunov(
-        (A - B @ (controller.regulator.gain * states)).T,
-        cost + (controller.regulator.gain * states).T @ (controller.regulator.gain * states) / 100.0,
+    states = np.array([unit, unit, 1.0])
+    A, B = controller.model.A / states[:, None] * states, controller.model.B / states[:, None]
+    # The gust belongs to the steady state: with x = X gust + d and u = U gust + v, only its change moves d.
+    H = np.array([[1.0, 0.0]])
+    X, U = np.split(
+        np.linalg.solve(np.block([[np.eye(2) - A[:2, :2], -B[:2]], [H, 0.0]]), np.append(A[:2, 2], 0.0)), [2]
     )
-    np.testing.assert_allclose(controller.regulator.cost_to_go * np.outer(states, states), P, rtol=1e-6)
-    K = np.linalg.solve(0.01 + B.T @ P @ B, B.T @ P @ A) / states
+    moved = A.copy()
+    moved[:2, 2] = X * (1.0 - A[2, 2])
+    gain = control.dlqr(moved, B, np.diag([1.0 / acceptable**2, 0.0, 0.0]), [[0.01]])[0]
+    K = (gain - np.append(np.zeros(2), U + gain[0, :2] @ X)) / states
+    np.testing.assert_allclose(controller.regulator.gain, K, rtol=1e-6)
     loop = cosim.closed_loop(
         plant, controller, control="torque", measured="angle", sensors=cosim.Sensors(2, unit), reference=0.0,
         noise={"gust": cosim.Gaussian(std=110.0)},

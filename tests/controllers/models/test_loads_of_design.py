@@ -71,6 +71,22 @@ def test_it_is_followed_and_taken_up_and_no_healthy_sensor_is_blamed():
     assert blamed[0] < blamed[1]
 
 
+@pytest.mark.parametrize("acceptable", [0.1, 2.0])
+def test_a_load_that_lasts_leaves_no_steady_error(acceptable):
+    """The control that counteracts it has no cost: with one, the error is the larger, the larger the acceptable error."""
+    controller = designed(
+        sensors=[3, 2], sensor_std=0.05, loads={"outdoor": (STD, 1e7)}, acceptable_error=acceptable,
+        precision=controllers.FixedPrecision(), initial_spread=1e3,
+    )  # fmt: skip
+    loop = cosim.closed_loop(
+        hall(), controller, control="heat", measured=["room", "supply"], sensors=cosim.Sensors([3, 2], 0.05),
+        noise={"outdoor": cosim.Constant(-10.0)}, reference=0.0,
+    )  # fmt: skip
+    result = loop.simulate(6 * 86400.0, seed=1)
+    assert abs(result["plant.room"][-2880:].mean()) < 0.01
+    assert result["controller.u"][-2880:].mean() > 0.5
+
+
 def test_of_an_fmu_about_its_operating_point():
     turbine = fmus.path("HydroTurbine")
     controller = controllers.design(
