@@ -11,7 +11,7 @@ import numpy as np
 from bayesftc.controllers.diagnosis.candidates import AS_STATED
 from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, named, seconds, since, strongly
 from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
-from bayesftc.controllers.models.disturbances import has_loads
+from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.metrics import periods
@@ -70,6 +70,12 @@ ELSEWHERE = (
 
 PLAY = " A dead band, stiction or play of the actuator may look the same: compare the control and the position of the actuator."
 """What may be the cause where the plant follows the control late, slowly or weakly, or a load on it changes all the time."""
+
+LASTS = (
+    " A load that lasts, such as a friction that changes its sign with the motion, may look the same: name its input in loads "
+    "(of design, or [controller] of a scenario)."
+)
+"""What may be the cause of other dynamics where the model has no load that lasts."""
 
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
@@ -491,6 +497,7 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant moves differently from A and B. Check the masses, inertias, stiffnesses and frictions behind them, and dt; or "
         "identify the model from a recording in which the control also moves at random (LinearModel.identify)."
+        f"{'' if has_loads(model) or lagged_loads(model) else LASTS}"
     )
 
 

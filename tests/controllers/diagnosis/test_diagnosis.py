@@ -1091,6 +1091,13 @@ def test_the_remedy_for_a_model_without_control_needs_no_control():
     assert "monitor" not in sentence("nonlinear", (), replace(model, B=[[0.1]]))
 
 
+def test_a_load_that_lasts_may_be_what_looks_like_other_dynamics_if_the_model_has_none():
+    lagged = controllers.LinearModel([[0.9, 0.1], [0.0, 0.999]], [[0.1], [0.0]], [[1.0, 0.0]], 0.01, 0.01, dt=0.1)
+    for model, has in ((MODEL, False), (MODEL.with_disturbance(0.1), True), (lagged, True)):
+        assert ("A load that lasts" in sentence("dynamics", (), model)) != has
+    assert "A load that lasts" not in sentence("dynamics", (), MODEL, recorded=True)  # a monitor has no loads
+
+
 @pytest.mark.slow
 def test_a_leak_is_found_beside_a_slow_quantity_that_some_sensors_do_not_see():
     """A tank with three sensors of its level and two of its slow temperature: a set with the level alone has its say, too."""
