@@ -357,7 +357,8 @@ def _without_blamed(
         trusted = _trusted(model, samples, blamed & np.isin(np.arange(len(shares)), chosen))
         left = None if trusted is None else found(trusted)
         if trusted is not None and left is None:
-            together = int(blamed[:, named].sum(axis=1).max())
+            count = blamed[:, named].sum(axis=1)
+            together = int(np.median(count[count > 0]))
             partner = not any(group == tuple(named) for group in model.alike)
             others = bool(np.count_nonzero(shares) > len(named))
             said = words(named, together=together, alone=len(chosen) == len(named), partner=partner, others=others)

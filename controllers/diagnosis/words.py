@@ -182,14 +182,14 @@ def faulty_sensors(
 ) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
-    `together`: so many are blamed at once. `alone`: the samples for which it blames others, for a short time, are not left out.
+    `together`: so many are usually blamed at once. `alone`: samples for which it blames others, for a short time, are not left out.
     `partner`: another sensor measures the quantity of a single one. `others`: it blames further sensors for a short time.
     `recorded`: the names in a recording, for a monitor.
     """
     *most, last = (str(i) if recorded is None else recorded.sensors[i] for i in blamed)
     at_once = "" if together < 2 else " at the same time"
     if 1 < together <= len(most):
-        at_once = f", at most {together} of them{at_once}"
+        at_once = f", mostly {together} of them{at_once}"
     sensors = ("sensors " if most else "sensor ") if recorded is None else ""
     who = f"{sensors}{', '.join(most)} and {last}{at_once}" if most else f"{sensors}{last}"
     who = f"above all {who}" if others else who
