@@ -182,7 +182,7 @@ def faulty_sensors(
 ) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
-    `together`: so many are usually blamed at once. `alone`: samples for which it blames others, for a short time, are not left out.
+    `together`: so many are usually blamed at once. `alone`: samples for which it blames others, for a short time, stay.
     `partner`: another sensor measures the quantity of a single one. `others`: it blames further sensors for a short time.
     `recorded`: the names in a recording, for a monitor.
     """
