@@ -83,8 +83,9 @@ class ScenarioLoop:
             return self._scenario(factors).loop()
 
     def _scenario(self, factors: Mapping[str, Any]) -> Scenario:
+        content = self.changed(factors)  # what it refuses is the name of a factor, not a value
         try:
-            return scenario_of(self.changed(factors), Path(self.path))
+            return scenario_of(content, Path(self.path))
         except ScenarioError as error:
             for name in factors:
                 if self._is_valid({other: value for other, value in factors.items() if other != name}):
