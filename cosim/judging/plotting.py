@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 BLACK, BLUE = "#000000", "#0072B2"
 SENSOR_COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#882255", "#999933", "#6E7F80")
 LINES = ("-", "--", "-.", ":")
-MARKERS = ("o", "^", "s", "D", "v")
+MARKERS = ("o", "s", "D", "P", "X")
+"""Marks of samples: symmetric, because a small triangle seems to lie beside its sample; filled, because they have no edge."""
+
 OF_SENSORS = ("innovation", "precision", "beta", "fault_size")
 """Outputs of a controller with an element for each sensor, in its unit or a power of it."""
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.image import imread
+from matplotlib.markers import MarkerStyle
 
 from bayesftc import cosim
 from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController, SwitchingPrecision
@@ -16,11 +17,22 @@ from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
 from bayesftc.cosim.judging.metrics import figures
-from bayesftc.cosim.judging.plotting import plot_signals
+from bayesftc.cosim.judging.plotting import MARKERS, plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import InputSignals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
 from bayesftc.scenario import load_scenario
+
+
+def test_the_centre_of_each_mark_is_its_sample():
+    """The second sensor's triangles seemed to lie below the belief."""
+    for mark in map(MarkerStyle, MARKERS):
+        (outline,) = mark.get_path().transformed(mark.get_transform()).to_polygons()
+        (x, y), (to_x, to_y) = outline[:-1].T, outline[1:].T
+        twice = x * to_y - to_x * y  # the area of the triangles between the centre and each edge
+        assert abs(twice.sum()) > 0.1
+        np.testing.assert_allclose([twice @ (x + to_x), twice @ (y + to_y)], 0.0, atol=1e-9)
+        assert mark.is_filled()
 
 
 def run_of(loop, duration=8.0, **options):
