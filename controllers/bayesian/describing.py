@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.stabilisability import shown
 from bayesftc.controllers.linalg.lyapunov import stationary_covariance
-from bayesftc.controllers.models.disturbances import error_variances
+from bayesftc.controllers.models.disturbances import error_variances, lagged_loads
 from bayesftc.cosim.base.timebase import show
 from bayesftc.cosim.errors import brief
 from bayesftc.cosim.types import Floats
@@ -76,6 +76,8 @@ def model_lines(controller: BayesianController) -> list[str]:
     ]
     if not loads:
         lines.append("No load on the control is estimated (disturbance=True in design).")
+    if lasting := ", ".join(model.state_names[i] for i in lagged_loads(model)):
+        lines.append(f"Loads that are estimated, as deviations from the operating point: {lasting}.")
     if model.delays is not None:
         late = (
             f"{what} by {', '.join(map(str, steps))}"

@@ -100,6 +100,23 @@ def test_rows_of_gains_have_the_names_of_states_and_controls():
     assert re.search(r"K, a row for each control: [^;(]+ \(left\); [^;(]+ \(right\)\.", two)
 
 
+def test_loads_of_the_design_are_named():
+    """It said that no load on the control is estimated, and nothing of the others."""
+    room = control.ss(
+        np.diag([-0.1, -0.2]), [[1.0, 0.1, 0.0], [0.5, 0.0, 0.3]], np.eye(2), 0,
+        inputs=["heat", "outdoor", "people"], outputs=["air", "wall"],
+    )  # fmt: skip
+    for disturbance in (False, True):
+        said = controllers.design(
+            room, measured=["air", "wall"], actuated="heat", goal="air", sensors=[2, 2], sensor_std=[0.1, 0.1], dt=1.0,
+            loads={"outdoor": (1.0, 1000.0), "people": (1.0, 1000.0)}, disturbance=disturbance,
+            acceptable_error=1.0, acceptable_control=1.0,
+        ).describe()  # fmt: skip
+        assert "Loads that are estimated, as deviations from the operating point: outdoor, people.\n" in said
+        assert ("No load on the control is estimated" in said) != disturbance
+    assert "Loads that are estimated" not in lqg().describe()
+
+
 @pytest.mark.parametrize("learner", controllers.LEARNERS, ids=lambda learner: learner.__name__)
 def test_every_learner_is_described(learner):
     text = lqg(precision=learner()).describe()
