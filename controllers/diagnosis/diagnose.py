@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -453,15 +454,21 @@ def diagnose_recording(
 
 @reported(COMPARING)
 def diagnose_inputs(
-    model: LinearModel, y: Floats, u: Floats, initial_mean: Floats, probability: Floats | None = None
+    model: LinearModel,
+    y: Floats,
+    u: Floats,
+    initial_mean: Floats,
+    probability: Floats | None = None,
+    first_sample: datetime | None = None,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording` in the words of a monitor, whose recorded inputs may be measured.
 
-    `probability` (steps x m) has the fault probabilities of the monitor, if it has run.
+    `probability` (steps x m) has the fault probabilities of the monitor, if it has run; `first_sample` is the date of the first
+    row, if known.
     """
 
     def found(samples: Floats) -> ModelFinding | None:
-        return _finding(model, samples, u, initial_mean, alone=False, recorded=True)
+        return _finding(model, samples, u, initial_mean, alone=False, recorded=True, first_sample=first_sample)
 
     result = found(y)
     if result is None or probability is None:
@@ -479,10 +486,12 @@ def _finding(
     inferred: Sequence[float] | None = None,
     units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
     recorded: bool = False,
+    first_sample: datetime | None = None,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
 
-    `units` are those of the sensors and of the controls; these may be the `recorded` inputs of a monitor.
+    `units` are those of the sensors and of the controls; these may be the `recorded` inputs of a monitor, with the
+    date of their `first_sample`, if known.
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (given := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
@@ -505,6 +514,7 @@ def _finding(
         recorded=recorded,
         elsewhere=load.elsewhere,
         state=load.state,
+        first_sample=first_sample,
     )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))

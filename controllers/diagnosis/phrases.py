@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.units import behind
 
 if TYPE_CHECKING:
@@ -34,8 +36,10 @@ def change(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     )
 
 
-def since(values: Sequence[float]) -> str:
-    """Return from when to when something acts, of which these are the first two values."""
+def since(values: Sequence[float], first: datetime | None = None) -> str:
+    """Return from when to when something acts, of which these are the first two values; as dates, if the first sample has one."""
+    if first is not None:
+        return f"from {span_text(values[0], values[1], first) if isfinite(values[1]) else f'{time_text(values[0], first)} on'}"
     begin, end = map(seconds, values[:2])
     return (
         f"from {begin} to {end} after the first sample"

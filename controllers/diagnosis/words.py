@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from bayesftc.controllers.diagnosis.candidates import AS_STATED
 from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, named, seconds, since, strongly
-from bayesftc.controllers.diagnosis.words_of_inputs import OF_INPUTS
+from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
 from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind
@@ -96,13 +97,14 @@ def sentence(
     recorded: bool = False,
     elsewhere: bool = False,
     state: int | None = None,
+    first_sample: datetime | None = None,
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
     each sensor, `control_units` of each control, if known. `recorded`: the controls are the recorded inputs of a monitor, which
-    may be measured ones. `elsewhere`: a load that begins acts where no control does, and as this `state` of the model, if it has
-    one for it.
+    may be measured ones, and `first_sample` is the date of the first sample, if known. `elsewhere`: a load that begins acts where
+    no control does, and as this `state` of the model, if it has one for it.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
@@ -112,7 +114,7 @@ def sentence(
         "loss": partial(_loss, units=control_units),
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state),
         "noise": partial(_noise, units=control_units),
-        **(OF_INPUTS if recorded else {}),
+        **(of_inputs(first_sample) if recorded else {}),
         "offset": partial(_offset, units=units, controlled=moved and not recorded),
     }
     said: dict[str, str] = {}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from datetime import datetime
+from functools import partial
 from typing import TYPE_CHECKING
 
 from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, since, strongly
@@ -71,14 +73,14 @@ def _deadband(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
-def _loss(values: Sequence[float], model: LinearModel) -> str:
-    name = _input(values[3], model)
+def _loss(values: Sequence[float], model: LinearModel, first: datetime | None) -> str:
+    name, when = _input(values[3], model), since(values, first)
     if len(values) > STUCK_AT:
         return (
-            f"the plant moves {since(values)} as if {name} were stuck at about {values[STUCK_AT]:.3g}. Look for a fault of "
+            f"the plant moves {when} as if {name} were stuck at about {values[STUCK_AT]:.3g}. Look for a fault of "
             f"{name}, or of what it drives."
         )
-    return f"{name} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of {name}, or of what it drives."
+    return f"{name} moves the plant {strongly(values[2])} {when}. Look for a fault of {name}, or of what it drives."
 
 
 def _load(values: Sequence[float], model: LinearModel) -> str:
@@ -89,9 +91,9 @@ def _load(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
-def _onset(values: Sequence[float], model: LinearModel) -> str:
+def _onset(values: Sequence[float], model: LinearModel, first: datetime | None) -> str:
     each = 2 + model.controls
-    times = ", and again ".join(since(values[k : k + each]) for k in range(0, len(values), each))
+    times = ", and again ".join(since(values[k : k + each], first) for k in range(0, len(values), each))
     return f"something beside {_inputs(model)} moves the plant {times}, or a measured input is wrong then. {_REMEDY}"
 
 
@@ -110,22 +112,24 @@ def _otherwise(values: Sequence[float], model: LinearModel) -> str:
     )
 
 
-OF_INPUTS: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
-    "sign": _sign,
-    "gain": _gain,
-    "late": _late,
-    "early": _early,
-    "limit": _limit,
-    "deadband": _deadband,
-    "load": _load,
-    "onset": _onset,
-    "loss": _loss,
-    "noise": _noise,
-    "nonlinear": _nonlinear,
-    "dynamics": _otherwise,
-    "unknown": _otherwise,
-    "suspect": _otherwise,
-}
-"""The sentences by kind of the finding."""
+def of_inputs(first: datetime | None) -> dict[str, Callable[[Sequence[float], LinearModel], str]]:
+    """Return the sentences by kind of the finding; `first` is the date of the first sample, if it has one."""
+    return {
+        "sign": _sign,
+        "gain": _gain,
+        "late": _late,
+        "early": _early,
+        "limit": _limit,
+        "deadband": _deadband,
+        "load": _load,
+        "onset": partial(_onset, first=first),
+        "loss": partial(_loss, first=first),
+        "noise": _noise,
+        "nonlinear": _nonlinear,
+        "dynamics": _otherwise,
+        "unknown": _otherwise,
+        "suspect": _otherwise,
+    }
 
-__all__ = ["OF_INPUTS"]
+
+__all__ = ["of_inputs"]

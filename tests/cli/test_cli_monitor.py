@@ -444,6 +444,32 @@ def test_a_wrong_model_is_named_in_a_warning(model, kind, words, pumped):
     assert json.loads(watch_pumped(pumped, *values, "--json").stdout)["model"]["kind"] == kind
 
 
+@pytest.mark.parametrize(
+    ("stop", "words"),
+    [
+        (41.0, r"moves the plant from 2026-05-01 23:59:(\d+\.\d+) to 2026-05-02 00:00:0\d\.\d+, or"),
+        (99.0, r"moves the plant from 2026-05-01 23:59:(\d+\.\d+) on, or"),
+    ],
+)
+def test_what_moves_the_plant_has_the_dates_of_the_recording(stop, words, pumped):
+    """It counted seconds from the first sample, which nobody finds in a table of dates."""
+    table = pd.read_csv(pumped / "tank.csv")
+    acts = (table.t > 30.0) & (table.t < stop)
+    level = np.zeros(len(table))
+    for k in range(len(table) - 1):
+        level[k + 1] = 0.98 * level[k] + 0.02 * acts[k]
+    table[["a", "b"]] += level[:, None]
+    table["t"] = [
+        f"{at:%Y-%m-%dT%H:%M:%S.%f}" for at in pd.Timestamp("2026-05-01 23:59:25") + pd.to_timedelta(table.t, "s")
+    ]
+    table.to_csv(pumped / "tank.csv", index=False)
+    found = json.loads(watch_pumped(pumped, 0.1, 0.98, 0.2, "--json").stdout)["model"]
+    assert found["kind"] == "onset"
+    (second,) = re.search(words, found["sentence"]).groups()
+    assert 25.0 + found["values"][0] == pytest.approx(float(second))
+    assert "first sample" not in found["sentence"]
+
+
 def test_faults_of_sensors_of_two_quantities_are_no_error_of_a_right_model(tmp_path):
     """It warned that all sensors disagree with the model, and advised more process noise."""
     rng, n, A = np.random.default_rng(0), 1500, np.array([[0.97, 0.02], [0.0, 0.95]])

@@ -26,6 +26,7 @@ from bayesftc.cosim.base.html import table, text_of
 from bayesftc.cosim.base.invalid import numbers_of
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.recordings.columns import column_unit
+from bayesftc.cosim.base.recordings.dates import date_at
 from bayesftc.cosim.base.timebase import rational_step
 from bayesftc.cosim.errors import ModelError, RecordingError, brief
 from bayesftc.cosim.types import Floats
@@ -436,7 +437,8 @@ class Monitor:
         mean, _ = self.start(recording, model)
         start: Any = extended_mean(model, np.array(mean), mean)
         probability = None if monitored is None else monitored.fault_probability
-        return diagnose_inputs(model, recording.y, recording.u, start, probability)
+        first = None if recording.origin is None else date_at(recording.origin, recording.start)
+        return diagnose_inputs(model, recording.y, recording.u, start, probability, first)
 
     def run(
         self,
