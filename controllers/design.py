@@ -136,8 +136,8 @@ def design(
     loads : mapping of input to (number, number), optional
         Inputs at which unknown loads act that last, such as a gust, a draught or the temperature outside: the standard deviation
         of the load, as a deviation from the operating point, and the time constant with which it changes, in seconds. Each
-        load becomes a state of the model, the output of a lag that noise drives. The control that counteracts it has no cost
-        (see `LQGController`); if it lasts far longer than the time constant, a small error remains. A load may act on outputs
+        load becomes a state of the model, the output of a lag that noise drives. If it is slower than the loop, the control that
+        counteracts it has no cost (see `LQGController`), and it leaves no steady error. A load may act on outputs
         directly (D), as on one that a sensor measures. For a load at a control that lasts for any time, give `disturbance`.
     disturbance : bool, number, vector or matrix, optional
         Covariance per sample of an unknown load on each control. It removes the steady error that is due to a load, or to a plant

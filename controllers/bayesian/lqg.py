@@ -54,8 +54,9 @@ class LQGController(BayesianController):
     steady state are those of the remaining states.
 
     With fewer goals than controls, u_ss is the cheapest solution. The steady state (x_ss, u_ss) allows for estimated
-    disturbances (`LinearModel.with_disturbance`), for states that decay by themselves and that no control moves (the ``loads`` of
-    `design`), and for actuator faults that the precision learner infers. They therefore leave no steady error.
+    disturbances (`LinearModel.with_disturbance`), for loads that last (states that nothing moves and that decay more slowly
+    than the closed loop, such as ``loads`` of `design`), and for actuator faults that the precision learner infers. They
+    therefore leave no steady error.
 
     Ports are those of `BayesianController`, with one element of ``goal`` for each goal. An element that is NaN keeps its last
     value; before the first value it is the output at the initial mean.
@@ -241,11 +242,12 @@ class LQGController(BayesianController):
 
     def _target_rule(self, GB: Floats, prior: Floats) -> tuple[Callable[..., None], dict[str, Any], dict[str, Any]]:
         regulator, H = self.regulator, self.goal_matrix
-        root = regulator.root
+        root, x_of_others = regulator.root, regulator.x_of_others
+        x_of_loads, u_of_loads = regulator.x_of_loads, regulator.u_of_loads
         p, mean = self.model.controls, np.asarray(self.initial_mean)
         targets = {
-            "x_target": root @ np.hstack([regulator.x_of_goal, regulator.x_of_loads, regulator.x_of_others]),
-            "u_target": np.hstack([regulator.u_of_goal, regulator.u_of_loads, regulator.u_of_others]),
+            "x_target": root @ np.hstack([regulator.x_of_goal, x_of_loads, x_of_others - x_of_loads @ x_of_others]),
+            "u_target": np.hstack([regulator.u_of_goal, u_of_loads, regulator.u_of_others - u_of_loads @ x_of_others]),
         }
         # Each row has the goals of a time, the present one first; NaN before the first sample.
         held = np.vstack([np.full((self.preview, self.goals), np.nan), H @ mean])

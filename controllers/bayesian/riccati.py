@@ -27,9 +27,9 @@ class Regulator:
 
     Let x be the plant's states, z the model's other states (disturbances, the constant) and r the goal. The steady state is
     ``x_ss = x_of_goal r + x_of_others z``, ``u_ss = u_of_goal r + u_of_others z``, and the law ``u = u_ss - gain (x - x_ss)``.
-    States that decay by themselves and that no control moves, such as a load that lasts, belong to the steady state as well:
-    their own counteraction, ``u_of_loads x``, has no cost. In the one-step posterior it is the mean of the control, and
-    ``x_of_loads x`` that of the next state. ``gain`` contains both.
+    A load that lasts, a state that nothing moves and that decays more slowly than the closed loop, belongs to the steady state as
+    well: its counteraction, ``u_of_loads (x - x_ss)``, has no cost. In the one-step posterior it is added to the mean of the
+    control, and ``x_of_loads (x - x_ss)`` to that of the next state. ``gain`` contains both.
     Integrators that the goals do not see (the position behind a speed) never settle. ``regulated`` is the plant's state space
     without them. All else is computed in it, and neither cost nor law depends on them.
     """
@@ -97,8 +97,9 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         raise ModelError("The goals see no state of the plant, so no control moves them. Set goals for other outputs.")
     refuse_unseen_by_goal(A, H)
     try:
-        n, loads = len(A), _loads(A, B)
         solution = solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost)
+        to_goal, to_others = _steady(A, B, H, input_cost, others, _units(solution))
+        n, loads = len(A), _loads(A, B, np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A))
         x_of_loads, u_of_loads = np.zeros((n, n)), np.zeros((B.shape[1], n))
         if loads.any():
             # In deviations from the steady state of the present loads, only their change moves the plant, and nothing is seen.
@@ -120,7 +121,6 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "
             "of the weights of goals and controls nearer to each other."
         ) from None
-    to_goal, to_others = _steady(A, B, H, input_cost, others, _units(solution))
     if loads.any():
         gain = gain - u_of_loads
         gain[:, loads] -= gain[:, moved] @ X
@@ -139,13 +139,19 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
     )
 
 
-def _loads(A: Floats, B: Floats) -> NDArray[np.bool_]:
-    """Return whether each state decays by itself, without a control or another state that moves it by more than rounding."""
+def _loads(A: Floats, B: Floats, gain: Floats) -> NDArray[np.bool_]:
+    """Return whether each state is a load that lasts: nothing moves it, and it decays more slowly than the closed loop.
+
+    The loop has then settled at the steady state of the load before the load has changed. Of a load that changes faster, that
+    state is out of reach, and the regulator decides how much to counteract.
+    """
     same, units = balanced(A)
     others = np.abs(same - np.diag(np.diag(same)))
     effects = np.abs(B) / units[:, None]
-    moved = (others > ROUNDING).any(axis=1) | (effects > ROUNDING * effects.max(axis=0)).any(axis=1)
-    return np.asarray(~moved & (np.abs(np.diag(A)) < 1.0))
+    alone = ~((others > ROUNDING).any(axis=1) | (effects > ROUNDING * effects.max(axis=0)).any(axis=1))
+    moved = ~alone
+    slowest = np.abs(np.linalg.eigvals((A - B @ gain)[np.ix_(moved, moved)])).max(initial=0.0)
+    return np.asarray(alone & (np.diag(A) < 1.0) & (np.diag(A) > slowest))
 
 
 def _of_law(A: Floats, B: Floats, gain: Floats, state_cost: Floats, input_cost: Floats, P: Floats) -> Floats:

@@ -19,7 +19,7 @@ def most_variances(model: LinearModel) -> Floats:
 
     Without this limit, a slow state that no sensor reads, such as the temperature of a wall, reaches any variance before a
     reading shows it, and then even a tiny probability of that belief spoils the estimate. It is infinite for a state that does
-    not decay, and for the constant.
+    not decay or that no noise moves, and for the constant.
 
     The model may be wrong, and the state then farther away than it says. With 1 in place of `FADED`, a load that the model lacks
     makes the controller of a hall blame healthy sensors for 85 % of a day, in place of .1 %. With 1e5, a slow state that no
@@ -29,8 +29,10 @@ def most_variances(model: LinearModel) -> Floats:
     with np.errstate(all="ignore"):  # of modes that grow
         for _ in range(DOUBLINGS):
             S, A = S + A @ S @ A.T, A @ A
+        lasting = ~(np.abs(A) < 1.0).all(axis=1)  # NaN is not below 1
+    variances = np.diag(S)
     most = np.full(model.states, inf)
-    most[: len(S)] = np.where(np.isfinite(np.diag(S)), FADED * np.diag(S), inf)
+    most[: len(S)] = np.where(lasting | ~(variances > 0.0) | ~np.isfinite(variances), inf, FADED * variances)
     return most
 
 

@@ -411,14 +411,17 @@ def test_the_law_that_runs_is_that_of_the_riccati_equation_in_any_unit(unit, acc
     )  # fmt: skip
     states = np.array([unit, unit, 1.0])
     A, B = controller.model.A / states[:, None] * states, controller.model.B / states[:, None]
-    # The gust belongs to the steady state: with x = X gust + d and u = U gust + v, only its change moves d.
-    H = np.array([[1.0, 0.0]])
-    X, U = np.split(
-        np.linalg.solve(np.block([[np.eye(2) - A[:2, :2], -B[:2]], [H, 0.0]]), np.append(A[:2, 2], 0.0)), [2]
-    )
-    moved = A.copy()
-    moved[:2, 2] = X * (1.0 - A[2, 2])
-    gain = control.dlqr(moved, B, np.diag([1.0 / acceptable**2, 0.0, 0.0]), [[0.01]])[0]
+    cost, price = np.diag([1.0 / acceptable**2, 0.0, 0.0]), [[0.01]]
+    alone = control.dlqr(A[:2, :2], B[:2], cost[:2, :2], price)
+    X, U = np.zeros(2), np.zeros(1)
+    if A[2, 2] > np.abs(alone[2]).max():
+        # A gust that is slower than the loop belongs to the steady state: with x = X gust + d and u = U gust + v, only its
+        # change moves d.
+        whole = np.block([[np.eye(2) - A[:2, :2], -B[:2]], [np.array([[1.0, 0.0]]), 0.0]])
+        X, U = np.split(np.linalg.solve(whole, np.append(A[:2, 2], 0.0)), [2])
+        A = A.copy()
+        A[:2, 2] = X * (1.0 - A[2, 2])
+    gain = control.dlqr(A, B, cost, price)[0]
     K = (gain - np.append(np.zeros(2), U + gain[0, :2] @ X)) / states
     np.testing.assert_allclose(controller.regulator.gain, K, rtol=1e-6)
     loop = cosim.closed_loop(
@@ -428,3 +431,33 @@ def test_the_law_that_runs_is_that_of_the_riccati_equation_in_any_unit(unit, acc
     run = loop.simulate(2.0, seed=1, engine="interpreted")
     law = -run["controller.x_hat"] @ K.T
     np.testing.assert_allclose(run["controller.u"], law, rtol=1e-6, atol=1e-6 * np.abs(law).max())
+
+
+def loaded(load, keep):
+    """Return a model whose load moves the first state and rests at `load`, about its operating point, with its offset."""
+    A, B = np.array([[0.9, 0.2, 0.1], [0.0, 0.8, 0.0], [0.0, 0.0, keep]]), np.array([[0.0], [0.1], [0.0]])
+    x = np.array([1.0, (0.1 - 0.1 * load) / 0.2, load])
+    u = np.array([0.2 * x[1] / 0.1])
+    model = LinearModel(A, B, np.eye(3), 1e-4, 1e-4, dt=1.0).about(x, u, x)
+    return model, A, B, x, x - A @ x - B @ u
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.95, 0.999])
+@pytest.mark.parametrize("acceptable", [1e-4, 9.0])
+def test_a_load_that_rests_elsewhere_than_at_zero_is_in_the_operating_point(keep, acceptable):
+    model, A, B, x, offset = loaded(4.0, keep)
+    controller = LQGController(
+        model, FixedPrecision(), goal_on=np.array([[1.0, 0.0, 0.0, 0.0]]), goal_covariance=acceptable
+    )
+    step = controller.online(compiled=False)
+    for _ in range(300):
+        x = A @ x + B @ np.ravel(step(y=x, goal=[1.0]).u) + offset
+    assert x[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_load_that_is_faster_than_the_loop_is_left_to_the_regulator():
+    """Its steady state is out of reach: to counteract it at any price costs far more than it saves."""
+    model, A, B, *_ = loaded(0.0, 0.5)
+    controller = LQGController(model, FixedPrecision(), goal_on=np.eye(1, 4), goal_covariance=9.0)
+    gain = control.dlqr(A, B, np.diag([1.0 / 9.0, 0.0, 0.0]), [[1.0]])[0]
+    np.testing.assert_allclose(controller.regulator.gain, gain, rtol=1e-7, atol=1e-12)

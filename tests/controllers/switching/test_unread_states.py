@@ -38,6 +38,18 @@ def test_walls_and_the_temperature_outside_are_estimated():
     assert (apart(model, np.diag([0.01, 0.01, 9.0]), 2880, seed=5) < 0.3).all()
 
 
+def test_a_constant_without_noise_may_still_jump():
+    """Nothing is known of it without samples, so that it has no limit: three healthy sensors are not blamed for its jump."""
+    A, C, R = np.array([[0.95, 0.05], [0.0, 1.0]]), np.eye(2)[[0, 0, 0]], 1e-2 * np.eye(3)
+    model = controllers.LinearModel(A, np.zeros((2, 1)), C, np.diag([1e-4, 0.0]), R, dt=0.1)
+    step = controllers.StateEstimator(model, controllers.SwitchingPrecision(), initial_covariance=np.eye(2)).online()
+    random, x, blamed = np.random.default_rng(0), np.zeros(2), []
+    for k in range(1200):
+        x = A @ x + [0.01 * random.standard_normal(), float(k == 400)]
+        blamed.append(step(y=C @ x + 0.1 * random.standard_normal(3)).fault_probability > 0.5)
+    assert np.mean(blamed) < 0.01
+
+
 def random_model(seed):
     """Return a stable model with 1 to 4 states, of which 1 or 2 have sensors, and noise on some states, with its start."""
     random = np.random.default_rng(seed)
