@@ -100,17 +100,11 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         solution = solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost)
         to_goal, to_others = _steady(A, B, H, input_cost, others, _units(solution))
         n, loads = len(A), _loads(A, B, np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A))
-        x_of_loads, u_of_loads = np.zeros((n, n)), np.zeros((B.shape[1], n))
+        X, u_of_loads = _of_loads(A, B, H, input_cost, loads, _units(solution))
+        x_of_loads = X * np.diag(A)  # after a sample, in which the loads have decayed
         if loads.any():
             # In deviations from the steady state of the present loads, only their change moves the plant, and nothing is seen.
-            moved, E = ~loads, A[np.ix_(loads, loads)]
-            held = np.vstack([A[np.ix_(moved, loads)], -H[:, loads]])
-            of_moved = A[np.ix_(moved, moved)], B[moved], H[:, moved]
-            steady = _steady(*of_moved, input_cost, held, _units(solution)[moved])[1]
-            X, u_of_loads[:, loads] = steady[: moved.sum()], steady[moved.sum() :]
-            x_of_loads[np.ix_(moved, loads)] = X @ E
-            A, H = A.copy(), np.where(loads, 0.0, H)
-            A[np.ix_(moved, loads)] = X - X @ E
+            A, H = np.where(np.outer(~loads, loads), X - x_of_loads, A), np.where(loads, 0.0, H)
             solution = solve_discrete_are(A, B, H.T @ output_cost @ H, input_cost)
         cost, solution = H.T @ output_cost @ H, np.asarray((solution + solution.T) / 2, dtype=np.float64)
         gain = np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A)
@@ -121,9 +115,7 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
             f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "
             "of the weights of goals and controls nearer to each other."
         ) from None
-    if loads.any():
-        gain = gain - u_of_loads
-        gain[:, loads] -= gain[:, moved] @ X
+    gain = gain - u_of_loads - gain @ X
     if reduced is None:
         return Regulator(P, gain, to_goal[:n], to_others[:n], to_goal[n:], to_others[n:], x_of_loads, u_of_loads)
     return Regulator(
@@ -152,6 +144,19 @@ def _loads(A: Floats, B: Floats, gain: Floats) -> NDArray[np.bool_]:
     moved = ~alone
     slowest = np.abs(np.linalg.eigvals((A - B @ gain)[np.ix_(moved, moved)])).max(initial=0.0)
     return np.asarray(alone & (np.diag(A) < 1.0) & (np.diag(A) > slowest))
+
+
+def _of_loads(
+    A: Floats, B: Floats, H: Floats, input_cost: Floats, loads: NDArray[np.bool_], units: Floats
+) -> tuple[Floats, Floats]:
+    """Return the maps from the plant's state to the steady x and u that its loads cause; all else in them is zero."""
+    X, U, moved = np.zeros_like(A), np.zeros((B.shape[1], len(A))), ~loads
+    if loads.any():
+        held = np.vstack([A[np.ix_(moved, loads)], -H[:, loads]])
+        of_moved = A[np.ix_(moved, moved)], B[moved], H[:, moved]
+        steady = _steady(*of_moved, input_cost, held, units[moved])[1]
+        X[np.ix_(moved, loads)], U[:, loads] = steady[: moved.sum()], steady[moved.sum() :]
+    return X, U
 
 
 def _of_law(A: Floats, B: Floats, gain: Floats, state_cost: Floats, input_cost: Floats, P: Floats) -> Floats:

@@ -137,7 +137,7 @@ class ExponentialFilter(SameUnit):
 
     result: ClassVar[str] = "The filtered signal"
     settling: ClassVar[tuple[str, ...]] = ("x", "begun")
-    """States once samples have come, about which a loop is linearized."""
+    """States that settle at the first samples; a loop is linearized where they have settled."""
 
     time_constant: float
     size: int = 1

@@ -199,9 +199,9 @@ def inflate(memory, at, n, plant, more, fades, Q, settings, most):
     It grows by the part ``fades`` of itself, and then by ``more`` times the process noise. A state whose variance has reached
     its value in ``settings`` from ``most`` on does not fade.
     """
-    P, N = at + STATE + n + 2, n + 2
+    P, N, faded = at + STATE + n + 2, n + 2, sqrt(1.0 + fades)
     for a in range(plant):
-        grows = select(memory[P + a * N + a] < settings[most + a], sqrt(1.0 + fades), 1.0)
+        grows = select(memory[P + a * N + a] < settings[most + a], faded, 1.0)
         for b in range(n):
             memory[P + a * N + b] = memory[P + a * N + b] * grows
             memory[P + b * N + a] = memory[P + b * N + a] * grows
