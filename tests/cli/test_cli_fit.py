@@ -71,6 +71,7 @@ def test_an_undetermined_parameter_has_no_standard_error(bayesftc_, drive):
     assert "--input force" in done.stderr
 
 
+@pytest.mark.slow
 def test_values_that_stand_for_no_sample_do_not_count(bayesftc_, drive):
     """The fit is that of empty cells, whether a value holds for one column or a text for all."""
     table = pd.read_csv(drive)

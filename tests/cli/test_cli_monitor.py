@@ -444,6 +444,7 @@ def test_a_wrong_model_is_named_in_a_warning(model, kind, words, pumped):
     assert json.loads(watch_pumped(pumped, *values, "--json").stdout)["model"]["kind"] == kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stop", "words"),
     [
@@ -470,6 +471,7 @@ def test_what_moves_the_plant_has_the_dates_of_the_recording(stop, words, pumped
     assert "first sample" not in found["sentence"]
 
 
+@pytest.mark.slow
 def test_faults_of_sensors_of_two_quantities_are_no_error_of_a_right_model(tmp_path):
     """It warned that all sensors disagree with the model, and advised more process noise."""
     rng, n, A = np.random.default_rng(0), 1500, np.array([[0.97, 0.02], [0.0, 0.95]])
@@ -580,6 +582,7 @@ def test_a_fit_over_a_lasting_fault_names_the_remedy(tmp_path, begin, end, sente
     )
 
 
+@pytest.mark.slow
 def test_headings_that_pass_north_count_on(tmp_path):
     """The fit says so and writes it into the model file; without it the monitor names the line that is missing."""
     rng, t = np.random.default_rng(0), 1.0 * np.arange(600)
@@ -615,6 +618,7 @@ def slower_than_its_log(path, seed, seconds=80, frozen=()):
     pd.DataFrame({"t": t, "left": y[:, 0], "right": y[:, 1], "gnss": y[:, 2]}).to_csv(path, index=False)
 
 
+@pytest.mark.slow
 def test_a_sensor_whose_values_the_log_repeats_is_fitted_without_the_repetitions(tmp_path):
     """They hid half of its noise, and it had 6 alarms in 80 healthy seconds."""
     model, fitted, watched = tmp_path / "model.toml", tmp_path / "fit.csv", tmp_path / "watched.csv"

@@ -125,6 +125,7 @@ def test_a_damaged_piece_breaks_the_download_off(tmp_path):
         assert b"000000.parquet is damaged." in body
 
 
+@pytest.mark.slow
 def test_those_who_do_not_read_hold_nobody_up(tmp_path, monkeypatch):
     monkeypatch.setattr(recorded, "UNREAD", 2.0)
     folder = filled(tmp_path, 100_000, columns=20)

@@ -117,6 +117,7 @@ def alone(tmp_path_factory):
         yield found
 
 
+@pytest.mark.sampled(1)
 def test_a_run_that_stops_is_downloaded_up_to_there(alone):
     with Viewer(alone) as viewer:
         viewer.ready()

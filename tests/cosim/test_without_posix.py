@@ -58,6 +58,7 @@ def test_the_first_example_of_the_readme_runs(tmp_path):
     assert (tmp_path / "run.npz").is_file()
 
 
+@pytest.mark.slow
 def test_a_campaign_runs_and_is_kept(tmp_path):
     pytest.importorskip("zarr", reason="needs the package zarr")
     text = """

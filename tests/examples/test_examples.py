@@ -153,6 +153,7 @@ def test_a_load_takes_up_what_the_model_of_a_motor_lacks(capsys):
     assert "20 % weaker    drift" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_acts_elsewhere_needs_noise_there(capsys):
     table = wrong_drive.main(1, faults=["healthy"])
     blamed = {design: share for (design, _), (_, share) in table.items()}

@@ -6,6 +6,7 @@ import pytest
 from bayesftc.examples.nonlinear_from_fmu import loops, study
 
 
+@pytest.mark.slow
 def test_the_equations_pay_far_from_the_point_of_linearisation():
     seeds = range(2)
     near, far = (

@@ -85,6 +85,7 @@ def test_a_lasting_fault_has_no_weight_after_a_gap_either():
     assert weights[gap.stop :, 1:].mean() > 0.9
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(1, 4))
 def test_three_sensors_that_agree_are_healthy_though_the_model_wanders_slowly(seed):
     """The walk is far below the noise from step to step, as of a furnace: it is visible over long times alone."""

@@ -94,6 +94,7 @@ def test_it_finds_what_is_in_the_recording_of_the_same_samples():
     assert (found.sensor, found.kind) == ("b", "Offset")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_long_freeze_with_lost_samples_begins_with_its_first_repeat(seed):
     """The learner forgets the onset in the course of hours; in these 2400 steps by 1 to 4 steps."""

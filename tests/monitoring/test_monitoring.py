@@ -345,7 +345,7 @@ def test_an_alarm_holds_over_short_gaps():
     assert alarms(0 * p, 0.5, 3) == []
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_lasting_fault_is_known_after_a_gap(seed):
     """The level swings on during the gap, so that only what was known before it tells which sensor has the offset."""

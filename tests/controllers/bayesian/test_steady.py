@@ -30,7 +30,7 @@ def test_the_filter_is_that_of_scipys_riccati_equation(seed, noise):
     np.testing.assert_allclose(gains.T, np.eye(3))
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [False, True])
 @pytest.mark.parametrize("seed", range(4))
 def test_of_a_slow_filter_they_are_those_of_many_single_steps(seed, joint):

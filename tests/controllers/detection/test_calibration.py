@@ -262,6 +262,7 @@ def test_an_estimated_load_does_not_walk_beyond_the_limits():
     assert report.brier < 0.7 * report.brier_of_constant
 
 
+@pytest.mark.slow
 def test_a_plant_that_its_limits_do_not_hold_is_said():
     weak = leaning(u_min=-0.1, u_max=0.1)
     with pytest.warns(

@@ -139,8 +139,7 @@ def on_a_road(road, seed):
     return controllers.diagnose(loop.simulate(10.0, seed=seed), loop)
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("std", "seed"), [(0.05, 1), (0.05, 2), (0.02, 1), (0.1, 1)])
 def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
     """Noise of single states, which the model does not have so, came next to it, or other dynamics."""
@@ -152,8 +151,7 @@ def test_noise_of_a_stated_input_that_is_larger_has_its_factor(std, seed):
     assert "times the stated standard deviation, if those of the sensors are right. State so much" in finding.sentence
 
 
-@pytest.mark.sampled(1)
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_bumps_are_named_beside_other_dynamics(seed):
     bumps = cosim.Table(
@@ -222,6 +220,7 @@ def test_what_happens_at_times_is_listed_and_what_lasts_is_not():
     assert {moved_at_times(time, process) for process in (None, times, np.ones(100), np.zeros(0))} == {""}
 
 
+@pytest.mark.slow
 def test_noise_that_the_model_lacks_is_not_taken_for_other_dynamics():
     """A car with three times the noise, of which the model has none of its own direction; without more noise nothing is said."""
     rng = np.random.default_rng(3)
@@ -449,7 +448,6 @@ def chamber(disturbance, reference, **faults):
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("disturbance", [400.0, 4000.0])
 @pytest.mark.parametrize("reference", [5.0, cosim.Sine(3.0, 1200.0, offset=4.0)], ids=["constant", "changing"])
@@ -462,7 +460,6 @@ def test_a_load_that_the_controller_estimates_is_no_weak_actuator(disturbance, r
     assert finding.values[2] == pytest.approx(-800.0, rel=0.15)
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_weak_actuator_is_no_load(seed):
@@ -513,7 +510,6 @@ def test_a_load_and_a_weak_actuator_are_both_named_if_the_control_does_not_chang
 
 
 @pytest.mark.sampled(1)
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_load_beside_a_control_far_from_zero_is_no_loss_of_effect(seed):
     """A jacket at 300 K: one per cent of the control's effect is as much as the load."""
@@ -541,6 +537,7 @@ def test_numbers_of_findings_are_those_of_the_plant():
     assert values("limit")[:2] == pytest.approx((-400, 400), rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
     """Also behind a fault of one sensor, in a result from a file, and for the Kalman check."""
     model = controllers.LinearModel([[0.9]], [[-0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=0.1)
@@ -627,6 +624,7 @@ def by_numpy(model, y, u, mean):
     return least / (1 + least)
 
 
+@pytest.mark.slow
 def test_sets_share_the_only_sensor_of_a_quantity():
     """One encoder and three gyros, which see no position: a faulty gyro spoils one set of three, a faulty encoder all."""
     A, B = np.array([[1.0, 0.1], [0.0, 0.95]]), np.array([[0.0], [0.1]])
@@ -835,6 +833,7 @@ def test_a_dead_time_in_A_gives_no_warning_of_scipy():
     assert finding.values[0] == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("factor", "effect", "kind"), [(1.0, 0.6, "gain"), (0.5, 0.5, "dt")])
 def test_errors_beside_a_long_delay_are_named(factor, effect, kind):
     """The past controls are known: they are no states of a plant with other dynamics, and no time scale changes a delay."""
@@ -856,9 +855,8 @@ def test_delayed_controls_come_later():
     np.testing.assert_array_equal(delayed(np.array([[1.0], [2.0], [3.0]]), 2, [9.0]), [[9.0], [9.0], [1.0]])
 
 
-@pytest.mark.parametrize(
-    ("late", "seed"), [(5, 0), *(pytest.param(*each, marks=pytest.mark.slow) for each in ((2, 0), (3, 1), (5, 2)))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("late", "seed"), [(5, 0), (2, 0), (3, 1), (5, 2)])
 def test_before_the_recording_the_control_held_the_plant(late, seed):
     """Zero volts before would be a push by the whole operating control, which spoke for shorter delays or other causes."""
     system = control.ss([[0, 1], [20, 0]], [[0], [1]], np.eye(2), 0)
@@ -1341,6 +1339,7 @@ def test_a_long_dead_time_of_a_slow_plant_is_found(dt, samples):
     assert (finding.kind, finding.values[0]) == ("late", pytest.approx(samples * dt))
 
 
+@pytest.mark.slow
 def test_a_wrong_model_under_which_all_sensors_are_blamed_is_no_fault_of_sensors():
     """After the pendulum has fallen all are blamed, and without their samples nothing is left to speak against the model."""
     case = next(c for c in cases() if c.name == "pendulum: late")
@@ -1381,7 +1380,8 @@ def test_a_car_far_from_its_point_is_nonlinear_first():
     assert kinds == ["nonlinear"] * 3
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_longer_trailer_is_no_nonlinear_plant(seed):
     """The plant is exactly linear. Of its columns in A one differs, which a square of the angle explained in part."""
     lengths, L1, tau = {"plant": 8.0, "model": 6.5}, 3.8, 0.15
@@ -1445,6 +1445,7 @@ def test_an_offset_that_nobody_would_see_is_not_named():
     )
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("precision", "record", "said"),
     [
@@ -1510,6 +1511,7 @@ def _behind(actuator, width, seed):
     return model, y, u
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("actuator", "width", "last"), [(_play, 0.8, 1.0), (_about_zero, 1.6, 0.0)])
 def test_a_dead_band_of_the_actuator_is_named(actuator, width, last):
     model, y, u = _behind(actuator, width, 0)

@@ -50,6 +50,7 @@ def test_only_a_goal_far_from_a_known_operating_point_is_named():
     )  # the reading is hardly more than noise
 
 
+@pytest.mark.slow
 def test_the_diagnosis_of_a_run_begins_with_a_far_goal():
     """The plant here is linear, but the model cannot know that."""
     model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-4, 1e-4, dt=0.5).about(

@@ -83,7 +83,7 @@ PATTERNS = {
 }
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_a_right_model_is_not_blamed(pattern, seed):
@@ -93,6 +93,7 @@ def test_a_right_model_is_not_blamed(pattern, seed):
     assert controllers.diagnose_recording(MODEL, np.where(there, y, np.nan), u) is None
 
 
+@pytest.mark.slow
 def test_models_whose_filters_are_lost_do_not_spoil_the_others():
     """Of the time scales that are tried for a falling plant with rare samples, two have no filter."""
     true = fallen(0.02 * 1.25)

@@ -34,6 +34,7 @@ def test_noise_in_another_unit_is_named_before_more_noise_of_the_plant(wrong):
         assert finding is None
 
 
+@pytest.mark.slow
 def test_a_plant_in_arcseconds_is_diagnosed_without_a_warning():
     """Candidates that are far off overflow; each warned in a notebook."""
     arcsec, k, c = 206265.0, 15791.0, 40.2

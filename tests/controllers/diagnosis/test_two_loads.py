@@ -41,6 +41,7 @@ def test_two_loads_are_named_apart(faulty):
     assert "s after the first sample, and another one from 5" in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("faulty", [False, True])
 def test_one_load_is_one(faulty):
     finding = controllers.diagnose_recording(MODEL, *flown([(500, 900, -1.2)], 2, faulty=faulty))
@@ -71,7 +72,7 @@ def test_loads_are_said_to_act_where_no_control_does(leaking, loads):
     assert ("disturbance in design" in finding.sentence) == (not leaking)
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("loads", [[(300, 900, 0.8)], [(200, 400, 0.8), (600, 800, -0.8)]], ids=["one", "two"])
 @pytest.mark.parametrize(("leaking", "std"), [(0, 1e-3), (1, 1e-3), (1, 1.0)], ids=["pumped tank", "other", "stated"])
 def test_a_load_that_the_model_has_is_said_to_need_more_noise(leaking, std, loads):
@@ -97,7 +98,7 @@ def test_a_load_that_the_model_has_is_said_to_need_more_noise(leaking, std, load
     assert ("disturbance in design" in finding.sentence) == (not leaking)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("jumping", [0, 1, None])
 @pytest.mark.parametrize("begin", [600, 900], ids=["load", "no load"])
 def test_a_jump_of_one_of_two_sensors_is_no_load(begin, jumping):

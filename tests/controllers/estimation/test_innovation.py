@@ -59,6 +59,7 @@ def test_a_heated_tank_with_a_noisy_inflow_gets_a_controller():
     assert np.abs(controller.model.matrix("A") @ np.ones(3)).max() < 1.1
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("driven", [1e-30, 1e-28])
 def test_the_covariance_of_nanometres_in_si_units_is_the_limit_of_the_recursion(driven):
     """Variances of 1e-20 are lost in scipy's solution: it was up to 40 times too large."""

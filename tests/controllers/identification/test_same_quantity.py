@@ -157,6 +157,7 @@ def test_bad_outputs(outputs, words):
         LinearModel.identify(table, inputs="u", outputs=outputs)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("first", [5.0, 0.0])
 def test_a_difference_between_sensors_is_not_blamed_on_order_or_plant(first):
     """The difference is constant, or begins at 0. Without it, a model of order 2 has no deficiency."""
@@ -175,6 +176,7 @@ def test_a_difference_between_sensors_is_not_blamed_on_order_or_plant(first):
         LinearModel.identify(table, inputs="u", outputs=outputs, order=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("invalid", [False, True])
 def test_a_drift_in_the_held_out_part_is_not_blamed_on_the_inputs(invalid):
     """The drift begins after the part for learning. A few cells with -9999 make the noise of their sensor very large."""

@@ -152,7 +152,7 @@ def test_in_an_outage_of_all_sensors_only_time_passes():
     assert outs[59].mode_probability[1, 2] > 0.99
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("joint", [True, False])
 @pytest.mark.parametrize(
     "others",

@@ -80,6 +80,7 @@ def test_a_replay_lists_the_inferred_faults_as_a_run_does(bayesftc_, tmp_path):
         assert "The model\nThe 401 samples have not enough evidence" in done.stdout, done.output
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

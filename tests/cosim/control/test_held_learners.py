@@ -58,7 +58,7 @@ def check_finite(controller):
     return found
 
 
-@pytest.mark.sampled(6)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("make", QUICK, ids=lambda make: make.__name__)
 @pytest.mark.parametrize("learner", LEARNERS, ids=lambda learner: learner.__name__)
 def test_every_learner_is_linearized_to_finite_numbers(learner, make):
@@ -76,7 +76,7 @@ def test_every_learner_is_linearized_to_finite_numbers_in_a_nonlinear_controller
     check_finite(nonlinear(learner()))
 
 
-@pytest.mark.sampled(8)
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("make", [bayesian, lqg])
 @pytest.mark.parametrize(
     "learner",

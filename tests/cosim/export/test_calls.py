@@ -81,7 +81,7 @@ def test_steps_are_those_of_python(exported, instance, name, fmi, expected, same
     assert it.log == []
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0, 23])
 def test_a_saved_state_goes_on_as_python_does(exported, instance, name, fmi, expected, at, same_bits):
     """In the same instance, in another one from bytes, and before any step."""

@@ -146,6 +146,7 @@ def ahead(request, tmp_path_factory, c_compiler):
     return cosim.export_fmu(loop(AHEAD), folder / "controller.fmu", blocks="controller", fmi=request.param)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("dt", [None, 0.01])
 def test_an_fmu_with_preview_gets_the_later_goal(ahead, dt):
     given = {
@@ -227,6 +228,7 @@ def without_estimate(tmp_path_factory, c_compiler):
     return cosim.export_fmu(loop(block), path, blocks="controller", outputs=["u", "fault_probability", "fault_kind"])
 
 
+@pytest.mark.slow
 def test_an_fmu_without_its_estimate_still_runs(without_estimate):
     traits = cosim.FMU(without_estimate).description.traits
     assert traits["fault_kinds"][0] == "Frozen"

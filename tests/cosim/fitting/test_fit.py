@@ -375,6 +375,7 @@ def test_several_inputs_each_with_its_column():
     assert abs(fitted.parameters["m2"] - 1.2) < 3 * fitted.std["m2"] < 0.1
 
 
+@pytest.mark.slow
 def test_a_fit_says_where_it_contradicts_its_weights():
     table = TABLE.copy()
     table.loc[200:, "v0"] -= 0.05 * np.arange(200)

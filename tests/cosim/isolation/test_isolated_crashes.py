@@ -144,7 +144,7 @@ def test_a_crash_is_seen_and_all_is_ended_where_a_child_holds_everything_open(ly
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["interpreted", pytest.param("compiled", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_what_an_fmu_does_to_its_connections(engine, lying, nothing_left):
     fmi = FMI[engine == "compiled"]
     # In its step, or in the answer after it: the compiled loop says in which. While both processes watch their memory, they
@@ -186,7 +186,8 @@ def test_after_a_crash_the_session_begins_anew(lying, nothing_left):
         assert len(session.advance(0.08).time) == 5
 
 
-@pytest.mark.parametrize("engine", ["interpreted", pytest.param("compiled", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["interpreted", "compiled"])
 def test_slow_steps_within_the_limit_are_waited_for(engine, lying):
     started = time.monotonic()
     result = alone(lying, "SLEEPS").simulate(0.14, engine=engine)

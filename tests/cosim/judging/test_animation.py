@@ -226,6 +226,7 @@ def test_a_gif_and_a_page_need_no_ffmpeg_and_a_film_says_so(tmp_path, monkeypatc
         animation.save(tmp_path / "film.mp4")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("name", "longest"), [("run.gif", 655.35), ("run.png", 65.535)])
 def test_pictures_that_last_too_long_are_refused_before_they_are_drawn(tmp_path, name, longest):
     run = car().simulate(0.2, seed=1, engine="interpreted")

@@ -186,6 +186,7 @@ def test_ignored_samples_are_marked():
     assert marks.get_marker() == "|"  # ... and a single sample has a tick
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("joint", "word"), [(True, "corrected"), (False, "ignored")])
 def test_a_sensor_whose_offset_is_subtracted_is_not_called_ignored(joint, word):
     loop = cruise_control(SwitchingPrecision(joint=joint), cosim.Bias(sensor=0, start=1.0, magnitude=8.0))
@@ -250,6 +251,7 @@ def test_a_second_fault_of_an_input_or_a_sensor_is_numbered_in_words():
     assert named == ["u: bias", "sensor 0: freeze", "u: bias 2", "sensor 0: freeze 2"]
 
 
+@pytest.mark.slow
 def test_only_a_sensor_with_an_alarm_and_without_weight_for_its_quantity_is_called_ignored(signals):
     first, second = signals.sensors
     coarse = replace(second, precision=1e-6 * second.precision)  # healthy, with a thousand times the noise
@@ -356,7 +358,7 @@ def test_a_long_title_fits_the_figure(signals):
     assert figure._suptitle.get_window_extent().x1 < figure.bbox.x1
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("controls", "label"),
     [((0,), "actuator fault"), ((None,), "process fault"), ((0, None), "actuator or process fault"), ((), None)],
@@ -482,6 +484,7 @@ def test_only_limits_within_the_panel_are_in_the_legend(signals, low, high, labe
     assert names(axis) == ["control", *label]
 
 
+@pytest.mark.slow
 def test_samples_of_many_sensors_leave_room_for_the_rest():
     controller = load_scenario("cruise_control").controller
     model = replace(controller.model, C=np.ones((14, 1)), sensor_covariance=1.0)

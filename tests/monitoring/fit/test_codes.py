@@ -76,6 +76,7 @@ def test_what_repeats_otherwise_is_no_code(change):
         assert codes(recording(y)) == {}
 
 
+@pytest.mark.slow
 def test_a_freeze_is_no_code_where_its_value_comes_by_chance_as_well():
     """The quantity jumps up and down while a sensor is frozen; it sends this value at some other times, too, as is usual."""
     for seed in range(5):
@@ -95,7 +96,7 @@ def test_a_freeze_is_no_code_where_its_value_comes_by_chance_as_well():
         assert not fit_model(recording(coded)).joint
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("code", [-9999.0, 65535.0, 850.0])
 @pytest.mark.parametrize("steps", [slice(900, 910), slice(40, None, 400)])
 def test_a_rare_value_far_outside_all_others_is_found_even_once(code, steps):

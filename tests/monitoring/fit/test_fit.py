@@ -661,6 +661,7 @@ def test_missing_samples_do_not_lengthen_the_steps(share):
     assert align(signals, {}, dt).replaced == (0, 0, 0)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("interval", "missing"), [(60.0, 0.08), (60.005, 0.08), (0.1, 0.3), (1 / 30, 0.0), (59.99, 0.0)]
 )

@@ -41,7 +41,7 @@ def drive(of, position, speed=0.0, offsets=(0.0, 0.0, 0.0), begins=(0, 0, 0), st
     return tuple(np.array(values) for values in zip(*found, strict=True))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("position", [0.3, -5.0, 400.0])
 @pytest.mark.parametrize("sensors", ["ppp", "pp", "pv", "ppvv"])
 def test_healthy_sensors_are_not_blamed_for_it(sensors, position):
@@ -66,7 +66,7 @@ def test_the_only_sensor_of_a_quantity_is_believed_unless_the_start_is_certain()
     assert (np.abs(estimate - x)[-1] < 0.1, probability[-1, 0] > 0.9) == (True, True)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("faulty", [0, 2, 1])
 @pytest.mark.parametrize("position", [0.0, 2.0])
 def test_one_faulty_sensor_of_three_does_not_say_where(faulty, position):
@@ -76,6 +76,7 @@ def test_one_faulty_sensor_of_three_does_not_say_where(faulty, position):
     assert np.delete(probability, faulty, axis=1)[:30].max() < 0.2
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("speed", [0.0, 3.0])
 def test_a_sensor_that_begins_later_says_it_for_its_quantity(speed):
     """Position and speed are believed to be zero; the position is told by sensors that begin after that of the speed."""

@@ -101,6 +101,7 @@ def test_long_runs_stop_between_pauses(lanes, pauses):
     assert pauses == [True] * 5
 
 
+@pytest.mark.slow
 def test_a_group_that_takes_longer_than_the_limit_is_made_one_by_one(lanes, pauses, monkeypatch):
     slept = []
 
