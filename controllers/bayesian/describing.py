@@ -76,7 +76,7 @@ def model_lines(controller: BayesianController) -> list[str]:
     ]
     if not loads:
         lines.append("No load on the control is estimated (disturbance=True in design).")
-    if lasting := ", ".join(model.state_names[i] for i in lagged_loads(model)):
+    if lasting := ", ".join(model.state_names[i] for i in lagged_loads(model, measured=True)):
         lines.append(f"Loads that are estimated, as deviations from the operating point: {lasting}.")
     if model.delays is not None:
         late = (

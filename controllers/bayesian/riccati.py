@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from bayesftc.controllers.bayesian.stabilisability import refuse_unseen_by_goal
 from bayesftc.controllers.linalg.lyapunov import stationary_covariance
 from bayesftc.controllers.linalg.riccati import is_covariance
+from bayesftc.controllers.models.disturbances import unmoved
 from bayesftc.controllers.models.integrators import Quotient, without_integrators
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.cosim.base.numbers import counted
-from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.types import Floats
-
-ROUNDING = 1e-13
-"""Effect on a state, in balanced units, up to which it is one of rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +134,7 @@ def _loads(A: Floats, B: Floats, gain: Floats) -> NDArray[np.bool_]:
     The loop has then settled at the steady state of the load before the load has changed. Of a load that changes faster, that
     state is out of reach, and the regulator decides how much to counteract.
     """
-    same, units = balanced(A)
-    others = np.abs(same - np.diag(np.diag(same)))
-    effects = np.abs(B) / units[:, None]
-    alone = ~((others > ROUNDING).any(axis=1) | (effects > ROUNDING * effects.max(axis=0)).any(axis=1))
+    alone = unmoved(A, B)
     moved = ~alone
     slowest = np.abs(np.linalg.eigvals((A - B @ gain)[np.ix_(moved, moved)])).max(initial=0.0)
     return np.asarray(alone & (np.diag(A) < 1.0) & (np.diag(A) > slowest))

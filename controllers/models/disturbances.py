@@ -14,14 +14,20 @@ import numpy as np
 
 from bayesftc.controllers.models.checks import Matrix, as_covariance, as_number, as_vector
 from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.control.balance import balanced
 from bayesftc.cosim.elementary import exponential
 from bayesftc.cosim.errors import ModelError, brief
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
+    from numpy.typing import NDArray
+
     from bayesftc.controllers.models.linear import LinearModel
     from bayesftc.cosim.types import Floats
+
+ROUNDING = 1e-13
+"""Effect on a state, in balanced units, up to which it is one of rounding."""
 
 SHORTEST_LAG = 0.9
 """Decay in a sample from which on a state counts as a lag: about 10 samples. A shorter one hardly differs from white noise."""
@@ -71,14 +77,23 @@ def loads_of(model: LinearModel) -> list[int]:
     return [first + int(j) for j in np.flatnonzero(moving)]
 
 
-def lagged_loads(model: LinearModel) -> list[int]:
-    """Return the states of the plant that are loads: lagged noise that no sensor reads, and that nothing else moves."""
+def unmoved(A: Floats, B: Floats) -> NDArray[np.bool_]:
+    """Return whether neither another state nor a control moves each state, up to rounding."""
+    same, units = balanced(A)
+    others = np.abs(same - np.diag(np.diag(same)))
+    effects = np.abs(B) / units[:, None]
+    moved = (others > ROUNDING).any(axis=1) | (effects > ROUNDING * effects.max(axis=0)).any(axis=1)
+    return np.asarray(~moved)
+
+
+def lagged_loads(model: LinearModel, measured: bool = False) -> list[int]:
+    """Return the states of the plant that are loads: lagged noise that nothing else moves; those with sensors on request."""
     plant = model.plant_states
     A, Q = model.matrix("A")[:plant, :plant], np.diag(model.matrix("process_covariance"))[:plant]
-    coupled = A - np.diag(np.diag(A))
-    other = coupled.any(axis=1) | model.effects[:plant].any(axis=1) | model.quantities[:, :plant].any(axis=0)
     lags = (np.diag(A) > SHORTEST_LAG) & (np.diag(A) <= 1.0)
-    return [int(i) for i in np.flatnonzero(lags & (Q > 0.0) & coupled.any(axis=0) & ~other)]
+    moving = (A - np.diag(np.diag(A))).any(axis=0)
+    found = lags & (Q > 0.0) & moving & unmoved(A, model.effects[:plant])
+    return [int(i) for i in np.flatnonzero(found if measured else found & ~model.quantities[:, :plant].any(axis=0))]
 
 
 def has_loads(model: LinearModel) -> bool:

@@ -114,6 +114,18 @@ def test_loads_of_the_design_are_named():
         ).describe()  # fmt: skip
         assert "Loads that are estimated, as deviations from the operating point: outdoor, people.\n" in said
         assert ("No load on the control is estimated" in said) != disturbance
+    room = control.ss(
+        -0.1,
+        [[1.0, 0.1]],
+        [[1.0], [0.0]],
+        [[0.0, 0.0], [0.0, 1.0]],
+        inputs=["heat", "outdoor"],
+        outputs=["air", "weather"],
+    )
+    said = controllers.design(
+        room, measured=["air", "weather"], actuated="heat", goal="air", dt=1.0, loads={"outdoor": (1.0, 1000.0)}
+    ).describe()
+    assert "Loads that are estimated, as deviations from the operating point: outdoor.\n" in said
     assert "Loads that are estimated" not in lqg().describe()
 
 

@@ -134,6 +134,7 @@ def test_a_load_of_true_needs_a_scale_and_no_covariance_is_true():
         ({"effect": 0.0}, []),
         ({"moved": 0.1}, []),  # another tank
         ({"control": 0.1}, []),
+        ({"moved": 1e-17, "control": 1e-18}, [2]),  # rounding, as after c2d
         ({"read": 1.0}, []),
     ],
 )
@@ -144,3 +145,4 @@ def test_a_lagged_load_is_a_state_that_only_its_noise_moves(change, loads):
     model = LinearModel(A, [[0.1], [0.0], [values["control"]]], C, np.diag([0.1, 0.1, values["noise"]]), 0.01, dt=0.1)
     for each in (model, model.with_disturbance(0.1), model.with_delays(inputs=3)):
         assert lagged_loads(each) == loads
+        assert lagged_loads(each, measured=True) == ([2] if values["read"] else loads)
