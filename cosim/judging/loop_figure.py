@@ -41,6 +41,9 @@ FEW_SAMPLES = 50
 NORMAL_95 = 1.96
 """Half width in standard deviations of the interval that contains a normal variable with a probability of 95 %."""
 
+COINCIDE = 0.01
+"""Lines coincide if, for nine tenths of the run, they are nearer to each other than this share of the range of the panel."""
+
 MOST_SHADED = 2
 """Largest number of faulty sensors whose faults are shaded in one panel, because the colours of more mix."""
 
@@ -54,7 +57,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     From above, with time in seconds:
 
     - for each measured quantity its true value, its reference, and the belief: mean, and the mean plus and minus 1.96 standard
-      deviations; below it the samples of each of its sensors with the mean of the belief;
+      deviations; if true value and reference coincide, a panel of their difference and of the error of the belief; below it
+      the samples of each of its sensors with the mean of the belief;
     - for each control the sent signal, its limits, and with a fault in between the signal that the plant received; the same for
       other inputs of the plant with faults;
     - the standard deviation that the controller expects of each sensor (``1 / sqrt(precision)``). While it is more than a
@@ -83,6 +87,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     panels: _Panels = []
     for quantity in signals.quantities:
         panels.append((MAIN, partial(draw_quantity, time=signals.time, quantity=quantity), quantity.sensors))
+        if _coincide(quantity):
+            panels.append((NARROW, partial(_draw_errors, time=signals.time, quantity=quantity), quantity.sensors))
         panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief)
     if not signals.quantities:
         panels += _strips(signals, signals.sensors, None)
@@ -129,6 +135,37 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
         axis.fill_between(time[kept], low, high, label="belief: 95 % interval", **style)
     axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
     limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut, what)
+
+
+def _coincide(quantity: QuantitySignals) -> bool:
+    """Whether true value and reference cannot be told apart in their panel, such as those of a precise axis."""
+    if quantity.truth is None or quantity.reference is None:
+        return False
+    apart = np.abs(quantity.truth - quantity.reference)
+    known = np.isfinite(apart)
+    size = np.ptp([quantity.truth[known], quantity.reference[known]]) if known.any() else 0.0
+    return bool(size > 0.0) and float(np.quantile(apart[known], 0.9)) < COINCIDE * float(size)
+
+
+def _draw_errors(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
+    """Draw what the panel above does not resolve: the tracking error, and the error of the belief within its interval."""
+    assert quantity.truth is not None
+    assert quantity.reference is not None
+    tracking, whole = quantity.truth - quantity.reference, []
+    axis.plot(*thin(time, tracking), color=BLACK, lw=1.0, zorder=4, label="true value - reference")
+    if quantity.belief is not None:
+        whole = [quantity.belief - quantity.truth]
+        axis.plot(*thin(time, whole[0]), color=BLUE, ls=(0, (5, 2)), lw=1.0, zorder=5, label="belief - true value")
+        if quantity.spread is not None:
+            kept = with_peaks(quantity.spread)
+            half = NORMAL_95 * quantity.spread
+            style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
+            axis.fill_between(
+                time[kept], -half[kept], half[kept], label="95 % interval of\nthe belief's error", **style
+            )
+            whole += [half, -half]
+    axis.set_ylabel(broken(with_unit(f"error of {quantity.name}", quantity.unit), NARROW))
+    limit_axis(axis, time, [], [tracking, *whole])
 
 
 def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:

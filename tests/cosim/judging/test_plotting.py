@@ -12,7 +12,15 @@ from matplotlib.image import imread
 from matplotlib.markers import MarkerStyle
 
 from bayesftc import cosim
-from bayesftc.controllers import SERFDI, FixedPrecision, GammaPrecision, LinearModel, LQGController, SwitchingPrecision
+from bayesftc.controllers import (
+    SERFDI,
+    FixedPrecision,
+    GammaPrecision,
+    LinearModel,
+    LQGController,
+    SwitchingPrecision,
+    design,
+)
 from bayesftc.cosim.errors import UnknownNameError
 from bayesftc.cosim.judging.fault_panels import _logarithmic
 from bayesftc.cosim.judging.loop_figure import plot_run
@@ -118,6 +126,25 @@ def test_the_panels_of_a_run(signals, tmp_path):
         figure.savefig(tmp_path / "run.png", dpi=80)
     height, width, _ = imread(tmp_path / "run.png").shape
     assert (width, height) == (640, int(80 * figure.get_figheight()))
+
+
+def test_where_true_value_and_reference_coincide_their_difference_has_a_panel(signals):
+    """Of an axis the panel of the position has one line for all, which says nothing of how well it is tracked and known."""
+    assert not [axis for axis in plot_run(signals).axes if "error of" in axis.get_ylabel()]
+    axis_of = control.ss([[0, 1], [0, -5.0]], [[0], [2000.0]], [[1, 0]], 0, inputs=["u"], outputs=["x [um]"])
+    controller = design(axis_of, measured="x [um]", sensors=2, sensor_std=0.5, dt=0.001, noise={"u": 0.01}, preview=50,
+                        acceptable_error=1.0, acceptable_control=100.0)  # fmt: skip
+    loop = cosim.closed_loop(plant=axis_of, controller=controller, control="u", measured="x [um]",
+                             sensors=cosim.Sensors(2, 0.5), reference=cosim.Sine(500.0, 0.5))  # fmt: skip
+    result = loop.simulate(1.2, seed=1)
+    errors = panel(plot_run(loop_signals(loop, result)), "error of x")
+    assert errors.get_ylabel().endswith("[um]")
+    assert names(errors) == ["true value - reference", "belief - true value", "95 % interval of\nthe belief's error"]
+    tracking, belief = (line.get_ydata() for line in errors.get_lines()[:2])
+    goal = 500.0 * np.sin(4.0 * np.pi * result.time)
+    np.testing.assert_allclose(tracking, result["plant.x [um]"] - goal, atol=1e-9)
+    np.testing.assert_allclose(belief, result["controller.x_hat"][:, 0] - result["plant.x [um]"], atol=1e-9)
+    assert np.abs(errors.get_ylim()).max() < 1.0  # the transient at the start, of 250, does not hide the rest
 
 
 def test_sensors_of_several_quantities_are_called_by_them(signals):
