@@ -94,6 +94,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
         _controls(reader, roles),
         _process(reader) if drawn else None,
         roles.lag,
+        tuple(reader.unrecorded),
     )
 
 
@@ -120,12 +121,20 @@ class _Reader:
     def __init__(self, result: Result, controller: str):
         self.result, self.controller = result, controller
         self.names = frozenset(result)
+        self.unrecorded: dict[str, None] = {}
+        """Signals of the loop that were looked for and not recorded. Outputs that a controller may lack are not among them."""
 
     def signal(self, name: str) -> Floats | None:
         return self.result[name] if name in self.names else None
 
+    def of_loop(self, name: str) -> Floats | None:
+        """Return a signal that the loop has."""
+        if name not in self.names:
+            self.unrecorded[name] = None
+        return self.signal(name)
+
     def active(self, fault: str) -> Flags | None:
-        values = self.signal(f"{fault}.active")
+        values = self.of_loop(f"{fault}.active")
         return None if values is None else values > 0.5  # type: ignore[return-value]
 
     def faulty(self, faults: Iterable[str]) -> Flags | None:
@@ -150,7 +159,7 @@ class _Reader:
         return [values[:, i] for i in range(count)] if values is not None and fits else [None] * count
 
     def at(self, place: Place | None) -> Floats | None:
-        values = None if place is None else self.signal(place[0])
+        values = None if place is None else self.of_loop(place[0])
         return None if values is None or place is None else _flat(values)[:, place[1]]
 
 
@@ -210,8 +219,9 @@ def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySigna
     used = [(weight, reader.at(place)) for weight, place in role.truth or ()]
     terms = [weight * values for weight, values in used if values is not None]
     truth = np.sum(terms, axis=0) if terms and len(terms) == len(used) else None
-    x_hat, P = reader.output("x_hat"), reader.output("P") if drawn else None
     row = None if role.belief is None else np.array(role.belief)
+    x_hat = None if row is None else reader.of_loop(f"{reader.controller}.x_hat")
+    P = reader.output("P") if drawn else None
     belief = None if x_hat is None or row is None else x_hat @ row
     spread = None
     if belief is not None and P is not None and row is not None and P.shape[1:] == (len(row), len(row)):

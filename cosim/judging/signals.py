@@ -261,6 +261,7 @@ class LoopSignals:
     ``faults`` has for each recorded sensor fault the number of its sensor and whether it was present. ``actuators`` are those
     with an inference of the controller, ``controls`` the recorded ones. ``process`` is the probability of the process modes;
     None if there are none, or if not recorded. ``lag`` is a sentence about how far the controller is behind a moving reference.
+    ``unrecorded`` are signals of the loop that were not recorded.
     """
 
     time: Floats
@@ -272,6 +273,7 @@ class LoopSignals:
     controls: tuple[ControlSignals, ...] = ()
     process: Floats | None = None
     lag: str = ""
+    unrecorded: tuple[str, ...] = ()
 
     @property
     def faulty(self) -> Flags | None:

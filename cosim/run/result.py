@@ -454,9 +454,10 @@ class Result(Mapping[str, Floats]):
             If the diagram is no closed loop.
         """
         from bayesftc.cosim.judging.findings import numbers_of
-        from bayesftc.cosim.run.summary import RunSummary, tables_of
+        from bayesftc.cosim.run.summary import RunSummary, tables_of, unrecorded
 
-        return RunSummary(tables_of(numbers_of(self._loop_signals())), self._sentences())
+        signals = self._loop_signals()
+        return RunSummary(tables_of(numbers_of(signals)), [*self._sentences(), *unrecorded(signals.unrecorded)])
 
     def findings(self, *, threshold: float = 0.5, hold: float | None = None) -> pd.DataFrame:
         """Return the faults that the controller infers, a row for each alarm: where, kind, times, size and probability.

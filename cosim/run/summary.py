@@ -52,6 +52,8 @@ BETWEEN = (
 )
 EARLY = 0.01
 """Share of fault-free time with an alarm from which on that is said: it makes delays look short."""
+MOST_NAMES = 4
+"""Most names of signals that were not recorded in the sentence about them."""
 MOST_FINDINGS = 20
 """Most rows of the table of inferred faults; there are more of them only with many false alarms."""
 Row = tuple[str, str, str]
@@ -333,6 +335,16 @@ class RunSummary(Mapping[str, "pd.DataFrame"]):
         return "\n".join([*(f"<p>{escape(note)}</p>" for note in self.notes), *shown])
 
 
+def unrecorded(names: Sequence[str]) -> list[str]:
+    """Return a sentence about signals that the tables need and that were not recorded; none if there are none."""
+    if not names:
+        return []
+    rest = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return [
+        f"Not recorded: {', '.join(names[:MOST_NAMES])}{rest}. The tables lack what needs them. Without record= all are recorded."
+    ]
+
+
 def _aligned(table: FiguresTable) -> str:
     """Return a table as text: labels to the left, numbers to the right."""
     rows = [("", *table.columns), *table.texts()]
@@ -345,4 +357,4 @@ def _aligned(table: FiguresTable) -> str:
     )
 
 
-__all__ = ["FiguresTable", "RunSummary", "findings_table", "tables_of"]
+__all__ = ["FiguresTable", "RunSummary", "findings_table", "tables_of", "unrecorded"]

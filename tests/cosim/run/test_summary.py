@@ -281,6 +281,29 @@ def test_a_controller_of_blocks_is_judged_as_any_other():
         find_roles(loop(own_controller(["angel"])))
 
 
+def test_what_was_not_recorded_is_named(loop, result):
+    """Its rows were left out without a word; with little recorded, the summary was empty."""
+    said = loop.simulate(1.0, record=["plant.v", "controller.fault_probability"], engine="interpreted").summary()
+    assert said.notes == (
+        "Not recorded: freeze_0.active, freeze_0.y, controller.x_hat, reference.y. The tables lack what needs them. Without "
+        "record= all are recorded.",
+    )
+    assert str(said).startswith("Not recorded")
+    plant = control.ss([[0, 1], [0, -1]], [[0], [1]], np.eye(2), 0, inputs=["u"], outputs=["angle", "speed"])
+    law = cosim.Subsystem(
+        own_controller([]).diagram,
+        inputs={"y": "estimator.y", "goal": "law.goal"},
+        outputs={"u": "law.u"},
+        goals=["angle"],
+    )  # without x_hat
+    own = cosim.closed_loop(
+        plant, law, control="u", measured=["angle", "speed"], sensors=cosim.Sensors([2, 1], 0.01), reference=0.3,
+        input_faults={"u": cosim.Bias(magnitude=50.0, start=1.0)},
+    )  # fmt: skip
+    assert not own.simulate(1.2, engine="interpreted").summary().notes
+    assert not result.summary().notes
+
+
 def test_a_constant_dead_time_of_a_control_is_no_fault():
     car = load_scenario("cruise_control")
     faults = {"late": cosim.Delay(delay=0.02, initial=0.0), "later": cosim.Delay(delay=0.02, initial=0.0, start=1.0)}
