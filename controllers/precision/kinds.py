@@ -51,7 +51,7 @@ class InfersActuatorFaults(InfersFaults):
     @property
     def actuator_sizes(self) -> tuple[str, ...]:
         """In what the size of each of `actuator_kinds` is given: the control's ``"unit"``, or a share of its ``"effect"``."""
-        return tuple("unit" if mode.absolute else "effect" for mode in self._precision.actuator_modes)
+        return tuple(mode.size_scale for mode in self._precision.actuator_modes)
 
 
 __all__ = ["InfersActuatorFaults", "InfersFaults"]

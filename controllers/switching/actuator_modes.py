@@ -69,6 +69,11 @@ class ActuatorMode:
         for name in ("time_to_fault", "time_to_recovery"):
             check_number(self, name, above=0)
 
+    @property
+    def size_scale(self) -> str:
+        """What its size is in: the control's ``"unit"``, or a share of its ``"effect"``."""
+        return "unit" if self.absolute else "effect"
+
     def expected(self, scale: float) -> tuple[float, float, float]:
         """Return mean and variance of c at the onset, and the variance of its walk per sample."""
         raise TypeError(f"{type(self).__name__} has no method expected(scale); give it one.")

@@ -118,6 +118,13 @@ class FaultMode:
             check_number(self, name, above=0)
 
     @property
+    def size_scale(self) -> str:
+        """What its size is in, see `PrecisionLearner.fault_sizes`; empty for a mode that is no fault."""
+        if not self.is_fault:
+            return ""
+        return "distance" if self.size_from_belief else "noise" if self.size_in_noise else "unit"
+
+    @property
     def first(self) -> tuple[float, ...]:
         """Its numbers for a sensor before the first sample: trust, size, and further ones."""
         return 0.0, nan

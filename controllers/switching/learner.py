@@ -52,11 +52,6 @@ KNOWN = 1e12
 """Shape of the gamma distribution of a precision that is not learned, and therefore certain."""
 
 
-def _scale(mode: FaultMode) -> str:
-    """Return what the size of a mode is in; see `PrecisionLearner.fault_sizes`."""
-    return "distance" if mode.size_from_belief else "noise" if mode.size_in_noise else "unit"
-
-
 def _kept(mode: FaultMode) -> int:
     """Return the number of a mode's numbers that are merged: up to its age if its faults have no further numbers."""
     return TRUST if type(mode).evidence in (mode_kernels.freezes, mode_kernels.drops) else TRUST + len(mode.first)
@@ -432,7 +427,7 @@ class SwitchingPrecision(PrecisionLearner):
     @property
     def fault_sizes(self) -> tuple[str, ...]:
         """See `PrecisionLearner.fault_sizes`."""
-        return tuple(_scale(mode) if mode.is_fault else "" for mode in self.modes)
+        return tuple(mode.size_scale for mode in self.modes)
 
     @property
     def offset_kinds(self) -> tuple[str, ...]:

@@ -402,9 +402,9 @@ def _of(
     earlier: float | None = None
     for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
         begin, end, kind = part.begin, part.end, part.kind
-        size = last_of_kind(getattr(device, "size", None), device.kind, part)
+        size = size_at_end(getattr(device, "size", None), device.kind, part, device.sizes)
         sure = _name(device.kinds, kind) in SURE_ONSET
-        onset = last_of_kind(getattr(device, "onset", None), device.kind, part, first=sure)
+        onset = onset_of_kind(getattr(device, "onset", None), device.kind, part, first=sure)
         scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
         if kind > len(device.sizes):  # a file of an earlier version does not say what its size is
             size = None
@@ -450,8 +450,8 @@ def _chances(device: SensorSignals | ActuatorSignals) -> Floats | None:
     return chances
 
 
-def last_of_kind(values: Floats | None, most: Floats | None, part: Part, *, first: bool = False) -> float | None:
-    """Return a size or an onset of a part: the last one of its kind, or the first one, or None without any.
+def onset_of_kind(values: Floats | None, most: Floats | None, part: Part, *, first: bool = False) -> float | None:
+    """Return the onset of a part: the last one of its kind, or the first one, or None without any.
 
     Parameters
     ----------
@@ -469,6 +469,27 @@ def last_of_kind(values: Floats | None, most: Floats | None, part: Part, *, firs
     rows = part.begin + np.flatnonzero(most[part.begin : part.end] == part.kind)
     row = 0 if first else -1
     return float(values[rows[row]]) if len(rows) and np.isfinite(values[rows[row]]) else None
+
+
+def size_at_end(values: Floats | None, most: Floats | None, part: Part, scales: Sequence[str]) -> float | None:
+    """Return the last size of a part, of its kind or of one whose sizes mean the same; None without any.
+
+    A slow drift may be Drifting and Ramping in turns. Both know its size, and that of its own kind may be hours old.
+
+    Parameters
+    ----------
+    values, most, part
+        As for `onset_of_kind`.
+    scales : sequence of str
+        In what the size of each kind is, or of the first kinds.
+    """
+    if values is None or most is None:
+        return None
+    own = scales[part.kind - 1] if 0 < part.kind <= len(scales) else None
+    same = [part.kind, *(kind for kind, scale in enumerate(scales, 1) if scale == own)]
+    within = slice(part.begin, part.end)
+    sizes = values[within][np.isin(most[within], same) & np.isfinite(values[within])]
+    return float(sizes[-1]) if len(sizes) else None
 
 
 def _name(kinds: Sequence[str], number: int) -> str:
@@ -707,15 +728,16 @@ __all__ = [
     "blamed_together",
     "findings",
     "findings_frame",
-    "last_of_kind",
     "never_began",
     "numbers_of",
     "often_blamed",
     "onset_of_alarm",
+    "onset_of_kind",
     "parts",
     "parts_of_alarms",
     "parts_of_device",
     "plain_findings",
     "sections",
+    "size_at_end",
     "usual_hold",
 ]

@@ -21,7 +21,7 @@ PHASES = {"overall": "whole run", "before": "before faults", "during": "during",
 FINDINGS = "Faults that the controller infers"
 FINDINGS_REMARK = (
     "Onset: the estimated begin of the fault. From, until: the alarm (a fault probability of 0.5 or more); where its "
-    f"kind changes, each kind that lasts has a row. {{}} Size: the last one of that kind. {DASH}: not estimated."
+    f"kind changes, each kind that lasts has a row. {{}} Size: at the end of the row. {DASH}: not estimated."
 )
 MANY_ALARMS, ALARMS_REMARK = (
     5,

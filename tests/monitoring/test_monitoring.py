@@ -412,7 +412,13 @@ def test_an_alarm_whose_kind_changes_has_an_event_for_each_kind_live_as_well():
     }
     first, second = events = list(sensor_events(recording, signals, modes, Alarm()))
     assert (first.kind, first.start, first.end, first.onset, first.size) == ("Offset", 15.0, 64.0, 13.0, 60.0)
-    assert (second.kind, second.start, second.end, second.onset, second.size) == ("Drifting", 65.0, 124.0, 63.0, 119.0)
+    assert (second.kind, second.start, second.end, second.onset, second.size) == (
+        "Drifting",
+        65.0,
+        124.0,
+        63.0,
+        120.0,
+    )  # the size of the offset of the last step
     assert (first.continued, second.continued) == (False, True)
     watch = AlarmWatch(["a"], modes, Fraction(1), Alarm())
     rows = [{name: signals[name][k] for name in AlarmWatch.signals} for k in range(n)]

@@ -17,10 +17,11 @@ from bayesftc.cosim.judging.findings import (
     SURE_ONSET,
     Part,
     alarms,
-    last_of_kind,
     onset_of_alarm,
+    onset_of_kind,
     parts_of_alarms,
     plain_kinds,
+    size_at_end,
 )
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
@@ -293,8 +294,8 @@ def _each(
             continue
         most = signals["mode_probability"][:, i].argmax(axis=1)
         kind = name_of_kind(modes, part.kind)
-        size = last_of_kind(signals["fault_size"][:, i], most, part)
-        onset = last_of_kind(signals["fault_onset"][:, i], most, part, first=kind in SURE_ONSET)
+        size = size_at_end(signals["fault_size"][:, i], most, part, [mode.size_scale for mode in modes])
+        onset = onset_of_kind(signals["fault_onset"][:, i], most, part, first=kind in SURE_ONSET)
         yield FaultEvent(
             sensor,
             *span,
@@ -325,7 +326,8 @@ def actuator_events(
     """
     p, of_modes = signals["actuator_fault_probability"], signals["actuator_mode_probability"]
     for name, span, part, j in _spans(recording, names, p, of_modes, modes, alarm):
-        size = last_of_kind(signals["actuator_fault_size"][:, j], of_modes[:, j].argmax(axis=1), part)
+        most, scales = of_modes[:, j].argmax(axis=1), [mode.size_scale for mode in modes]
+        size = size_at_end(signals["actuator_fault_size"][:, j], most, part, scales)
         yield ActuatorEvent(
             name, *span, kind=name_of_kind(modes, part.kind), size=size, continued=part.begin > part.alarm
         )

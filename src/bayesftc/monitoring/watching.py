@@ -70,6 +70,7 @@ class AlarmWatch:
         alarm: Alarm | None = None,
     ):
         self._names, self._modes = tuple(sensors), tuple(modes)
+        self._scales = [mode.size_scale for mode in modes] or [""]
         self._plain = plain_kinds([type(mode).__name__ for mode in modes])
         self._alarm = alarm or Alarm()
         self._step = float(step)
@@ -140,15 +141,17 @@ class AlarmWatch:
             span = part[0].start, part[-1].end, max(each.probability for each in part)
             kind = name_of_kind(self._modes, k + 1) if any(each.sums[k] for each in part) else ""
             of_kind = [each for each in part if each.numbers and each.kind == k]
-            numbers = of_kind[-1].numbers if of_kind else ()
+            numbers = of_kind[-1].numbers if of_kind else (None,) * (len(self.signals) - 2)
             if kind in SURE_ONSET and of_kind:
                 numbers = numbers[0], of_kind[0].onset
+            sizes = [each.numbers[0] for each in part if each.numbers and self._scales[each.kind] == self._scales[k]]
+            numbers = next((size for size in reversed(sizes) if size is not None), None), *numbers[1:]
             yield self._made(i, span, kind, numbers, continued)
 
     def _made(
         self, i: int, span: tuple[float, float, float], kind: str, numbers: Sequence[float | None], continued: bool
     ) -> FaultEvent | ActuatorEvent:
-        size, onset = numbers or (None, None)
+        size, onset = numbers
         onset = onset_of_alarm(onset, span[0], self._ended.get(i))
         return FaultEvent(self._names[i], *span, kind=kind or None, onset=onset, size=size, continued=continued)
 
@@ -257,6 +260,4 @@ class ActuatorWatch(AlarmWatch):
     def _made(
         self, i: int, span: tuple[float, float, float], kind: str, numbers: Sequence[float | None], continued: bool
     ) -> FaultEvent | ActuatorEvent:
-        return ActuatorEvent(
-            self._names[i], *span, kind=kind, size=numbers[0] if numbers else None, continued=continued
-        )
+        return ActuatorEvent(self._names[i], *span, kind=kind, size=numbers[0], continued=continued)

@@ -115,6 +115,15 @@ def test_each_kind_of_an_alarm_has_its_own_row_onset_and_bar():
     assert bars_of(signals) == [(20.0, 80.0), (80.0, 140.0)]
 
 
+@pytest.mark.parametrize(("scales", "size"), [(("unit",) * 3, 199.0), (("unit", "noise", "unit"), 189.0)])
+def test_the_size_of_a_row_is_that_at_its_end(scales, size):
+    """A slow drift, Drifting and Ramping in turns, had the size of the last step with the kind of its row, hours before."""
+    signals = loop(course((OFFSET, 10), (DRIFTING, 180), (OFFSET, 10)))
+    sensor = replace(signals.sensors[0], size=np.arange(200.0), sizes=scales)
+    (found,) = findings(replace(signals, sensors=(sensor,)))
+    assert (found.kind, found.size) == ("Drifting", size)
+
+
 def test_a_freeze_keeps_the_onset_with_which_it_is_found():
     onset = 18.0 + np.where(np.arange(200) < 30, 0.0, 0.1 * np.arange(200))  # the learner forgets it
     (found,) = findings(loop(course((np.array([1.0, 0.0, 0.0, 0.0]), 20), (FROZEN, 120)), onset[:140]))
