@@ -74,7 +74,7 @@ class Comparison:
         - ``loop``, ``signal``, ``unit``, ``runs`` and ``failed``;
         - ``error``: mean over the runs of the root-mean-square difference between signal and reference, and
           ``error_in_faults``: the same while a fault is present;
-        - ``false_alarm_rate``: how often healthy sensors are blamed. It is the share of fault-free samples with an alarm, as the
+        - ``false_alarm_rate``: how often healthy sensors are blamed. It is the share of fault-free steps with an alarm, as the
           mean over all sensors. Alarms that began during a fault count as well;
         - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
           ``high``;

@@ -11,9 +11,10 @@ follow river's ``drift/evaluate.py`` (delay, misses, blame of healthy sensors), 
   a detector. It counts in none of the figures below. A fault whose samples are all missing is *seen as missing*, neither
   detected nor missed;
 - a fault is *missed* if no sample of it has an alarm; else its *delay* is the time from its first sample to its first alarm;
-- a sensor is *blamed while healthy* in a fault-free sample with an alarm. The share of these samples (`false_alarm_rate`) counts
-  also those directly after a fault, while the posterior still returns, and those of an alarm that began during the fault and
-  was right. It is not the number of false alarms of `bayesftc.cosim.judging.alarms`, which begin without a fault;
+- a sensor is *blamed while healthy* in a fault-free step with an alarm, also between two samples of a slow sensor, where others
+  may blame it. The share of these steps (`false_alarm_rate`) counts also those directly after a fault, while the posterior still
+  returns, and those of an alarm that began during the fault and was right. It is not the number of false alarms of
+  `bayesftc.cosim.judging.alarms`, which begin without a fault;
 - the *AUC* is the probability that a sample with the fault has a higher score than a sample without it (equal scores count
   half). The score is the fault probability, or beta if there is no probability. The AUC needs no calibration.
 """
@@ -100,8 +101,7 @@ class Detection:
     fault_share : float
         Share of time with a fault.
     missing_share : float
-        Share of missing samples; NaN if the samples were not recorded (then none counts as missing). The steps between two
-        samples of a slow sensor are not missing.
+        Share of the samples that were due and are missing; NaN if the samples were not recorded (then none counts as missing).
     faults : float
         Number of faults.
     seen_as_missing : float
@@ -111,7 +111,7 @@ class Detection:
     delay : float
         Mean delay of the detected faults, in seconds.
     false_alarm_rate : float
-        Share of the fault-free samples in which the sensor is blamed.
+        Share of the fault-free steps in which the sensor is blamed.
     auc : float
         Area under the receiver operating characteristic.
     ranked_by : str or None
@@ -184,7 +184,7 @@ class ActuatorFaults:
     delay : float
         Mean delay of the detected ones, in seconds.
     false_alarm_rate : float
-        Share of the fault-free samples in which the actuator is blamed.
+        Share of the fault-free steps in which the actuator is blamed.
     auc : float
         Area under the receiver operating characteristic of the fault probability.
     kind : str or None
@@ -273,9 +273,10 @@ def errors_by_phase(error: Floats | None, faulty: Flags | None) -> Errors:
 def detection(signals: SensorSignals, time: Floats) -> Detection:
     """Return the detection of the faults of one sensor, from its signals and the time of each row in seconds."""
     faulty, probability = signals.faulty, signals.probability
-    missing = NAN if signals.lost is None else _share(signals.lost)
     if faulty is None:
-        return Detection(signals.index, signals.unit, NAN, missing, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN)
+        return Detection(
+            signals.index, signals.unit, NAN, signals.missing_share, NAN, NAN, NAN, NAN, NAN, NAN, None, NAN, NAN
+        )
     present = np.ones(len(faulty), dtype=bool) if signals.missing is None else ~signals.missing
     samples_of_faults = samples_in_faults(faulty, present)
     visible = [samples for samples in samples_of_faults if len(samples)]
@@ -292,7 +293,7 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
         sensor=signals.index,
         unit=signals.unit,
         fault_share=_share(faulty),
-        missing_share=missing,
+        missing_share=signals.missing_share,
         faults=float(len(samples_of_faults)),
         seen_as_missing=NAN if signals.missing is None else float(len(samples_of_faults) - len(visible)),
         missed=missed,
@@ -308,11 +309,11 @@ def detection(signals: SensorSignals, time: Floats) -> Detection:
 
 
 def false_alarm_rate(signals: SensorSignals) -> float:
-    """Return the share of a sensor's fault-free samples with an alarm; NaN if its faults or alarms are not known."""
-    faulty, alarm, missing = signals.faulty, signals.alarm, signals.missing
+    """Return the share of a sensor's fault-free steps with an alarm; NaN if its faults or alarms are not known."""
+    faulty, alarm, lost = signals.faulty, signals.alarm, signals.lost
     if faulty is None or alarm is None:
         return NAN
-    return _share(alarm[~faulty if missing is None else ~(faulty | missing)])
+    return _share(alarm[~faulty if lost is None else ~(faulty | lost)])
 
 
 def input_faults(signals: InputSignals) -> InputFaults:

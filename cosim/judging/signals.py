@@ -97,17 +97,35 @@ class SensorSignals:
         A sensor is slow if nine of ten samples or more come several steps after the one before. In a gap that is longer than
         usual, samples are missing.
         """
-        steps = np.arange(len(self.samples) if self.samples is not None else 0)
-        if self.missing is None or not self.missing.any():
+        steps, usual = np.arange(0 if self.samples is None else len(self.samples)), self._usual
+        if self.missing is None or usual == 1:
             return np.zeros(len(steps), dtype=bool)
         given = np.flatnonzero(~self.missing)
-        usual = int(np.quantile(np.diff(given), 0.1, method="lower")) if len(given) >= FEWEST else 1
-        if usual == 1:
-            return np.zeros(len(steps), dtype=bool)
         last = np.searchsorted(given, steps, side="right") - 1
         since = steps - np.append(given, -1)[last]
         gap = np.append(np.diff(given), len(steps))[last]
         return (since > 0) & ((since < usual) | ((last >= 0) & (gap < LONGER * usual)))  # type: ignore[no-any-return]
+
+    @property
+    def _usual(self) -> int:
+        """The usual number of steps from one sample to the next."""
+        if self.missing is None or not self.missing.any():
+            return 1
+        given = np.flatnonzero(~self.missing)
+        return int(np.quantile(np.diff(given), 0.1, method="lower")) if len(given) >= FEWEST else 1
+
+    @property
+    def missing_share(self) -> float:
+        """The share of the samples that were missing of those that were due; NaN if the samples were not recorded."""
+        if self.missing is None or not len(self.missing):
+            return np.nan
+        usual, given = self._usual, np.flatnonzero(~self.missing)
+        if usual == 1:
+            return float(self.missing.mean())
+        gaps = np.diff(given) / usual
+        within = np.round(gaps[gaps >= LONGER]) - 1.0
+        count = given[0] // usual + within.sum() + (len(self.missing) - 1 - given[-1]) // usual
+        return float(count / (count + len(given)))
 
     @property
     def lost(self) -> Flags | None:

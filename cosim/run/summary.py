@@ -61,7 +61,7 @@ Row = tuple[str, str, str]
 
 SENSOR_ROWS: Sequence[Row] = (
     ("share of time in fault", "fault_share", "{:.1%}"),
-    ("samples missing (share of all)", "missing_share", "{:.1%}"),
+    ("samples missing (share of those due)", "missing_share", "{:.1%}"),
     ("faults", "faults", "{:.0f}"),
     ("faults seen as missing samples", "seen_as_missing", "{:.0f}"),
     ("faults missed", "missed", "{:.0f}"),

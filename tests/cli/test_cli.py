@@ -373,7 +373,7 @@ def test_a_dropout_is_neither_missed_nor_detected(bayesftc_, tmp_path):
     (tmp_path / "car.toml").write_text(CAR.replace('"Freeze"', '"Dropout"'))
     done = bayesftc_("run", "car.toml")
     rows = {line[:42].strip(): line[42:].split() for line in done.output.splitlines()}
-    assert rows["samples missing (share of all)"] == ["40.0%", "0.0%"]
+    assert rows["samples missing (share of those due)"] == ["40.0%", "0.0%"]
     assert rows["faults seen as missing samples"] == ["1", "0"]
     assert rows["faults missed"] == rows["AUC"] == ["–", "–"]
     assert "A missing sample needs no detector" in done.output
@@ -820,7 +820,7 @@ def test_scenarios_are_compared_with_the_same_seeds(bayesftc_, tmp_path):
     assert "Tracking error of v (m/s), whole run" in shown
     assert "relative to fixed" in shown
     assert "blamed*" in shown
-    assert "* Blamed while healthy: the share of the fault-free samples with an alarm, mean of all" in " ".join(
+    assert "* Blamed while healthy: the share of the fault-free steps with an alarm, mean of all" in " ".join(
         shown.split()
     )
 

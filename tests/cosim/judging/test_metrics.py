@@ -95,6 +95,30 @@ def test_errors_whose_squares_are_infinite():
     assert rmse([0.0, 0.0]) == 0.0
 
 
+@pytest.mark.parametrize("usual", [1, 2, 6])
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_the_share_of_missing_samples_is_of_those_that_were_due(usual, late):
+    """Of a slow sensor each lost sample counted as a step before its first sample, and as all steps to the next one later."""
+    rng, n = np.random.default_rng(usual + late), 600
+    due = np.arange(0, n, usual)
+    lost = rng.random(len(due)) < 0.03
+    lost[:late], lost[late], lost[40:60] = True, False, True
+    lost[[39, 60]] = False
+    samples = np.full(n, np.nan)
+    samples[due[~lost]] = 1.0
+    sensor = SensorSignals(0, samples, np.zeros(n, bool), None, None, None)
+    assert sensor.missing_share == pytest.approx(lost.mean(), abs=1.01 / len(due))
+
+
+def test_alarms_between_two_samples_of_a_slow_sensor_count():
+    """Three alarms were listed beside a share of 0.00 %: faster sensors had blamed an analyser between two of its samples."""
+    samples = np.where(np.arange(60) % 6 == 0, 1.0, np.nan)
+    probability = np.where(np.isin(np.arange(60), [8, 9, 10]), 0.9, 0.1)
+    slow = detection(SensorSignals(0, samples, np.zeros(60, bool), None, None, probability), np.arange(60.0))
+    assert slow.false_alarm_rate == 3 / 60
+    assert slow.missing_share == 0.0
+
+
 def test_missing_samples_are_left_out_of_detection():
     """A dropout, in which beta decays to its prior, is neither missed nor healthier than health."""
     samples = np.array([1, 1, np.nan, np.nan, np.nan, 1, 1, 1, 1, 1])

@@ -138,7 +138,7 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], worst: Sequen
     say(
         f"Each loop has {runs} runs with the same seeds. An error is the mean of the runs' root-mean-square errors. Differences "
         f"and wins are relative to {first}, without the seeds where a run failed. * Blamed while healthy: the share of the "
-        "fault-free samples with an alarm, mean of all sensors, over the whole run."
+        "fault-free steps with an alarm, mean of all sensors, over the whole run."
         + (f" {failed} runs failed." if failed else "")
     )
     for reason, count in (

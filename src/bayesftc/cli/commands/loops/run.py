@@ -285,7 +285,7 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
     if any(s.lost is not None and s.lost.any() for s in signals.sensors):
         notes.append(
             "A missing sample needs no detector: the controller leaves that sensor out at once. The figures of detection and "
-            "precision leave out missing samples. A fault that only causes missing samples counts as seen."
+            "precision leave out missing samples. So a fault whose samples are all missing has no delay, and cannot be missed."
         )
     elif signals.faulty is not None and any(s.missing is None for s in signals.sensors):
         notes.append("The samples were not recorded, so the figures of detection assume that none is missing.")
