@@ -9,7 +9,9 @@ from bayesftc.cosim.blocks.linear_system import LinearSystem
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.groups import components
+from bayesftc.cosim.diagram.wiring import is_controller
 from bayesftc.cosim.errors import AlgebraicLoopError
+from bayesftc.cosim.fmi.fmu import FMU
 
 DELAYED = "when(..., delayed=True)"
 """How a condition of a fault is delayed in Python; a scenario file has other words for it."""
@@ -95,6 +97,11 @@ class Feedthrough:
         direct = [
             self._nodes[i].name for i in sorted(set(loop)) if getattr(self._nodes[i].block, "timing", "") == "direct"
         ]
+        sampled = [
+            node.name
+            for node in (self._nodes[i] for i in sorted(set(loop)))
+            if isinstance(node.block, FMU) and node.block.timing == "sampled" and not is_controller(node)
+        ]
         named = [
             self._nodes[b].name
             for a, b in pairwise(loop)
@@ -115,6 +122,12 @@ class Feedthrough:
                 f" If the outputs of {systems[0]!r} do not depend on its inputs at the same instant, make it "
                 "cosim.StateSpace(system, feedthrough=False)."
                 if systems
+                else ""
+            )
+            + (
+                f" {sampled[0]!r} is an FMU with timing='sampled': its outputs belong to the beginning of a step, and take all "
+                "inputs of that time. For a plant, export it without the outputs on which an input acts directly (outputs=...)."
+                if sampled
                 else ""
             )
             + (f" {direct[0]!r} with timing='plant' has outputs for the inputs of the step before." if direct else "")

@@ -11,7 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Literal
 
-from bayesftc.cosim.base.announcing import reported
+from bayesftc.cosim.base.announcing import reported, tell
 from bayesftc.cosim.base.paths import expanded
 from bayesftc.cosim.base.temporary import BESIDE, temporary_folder
 from bayesftc.cosim.block import Block
@@ -19,7 +19,7 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.opening import Names
 from bayesftc.cosim.errors import FMUError, ModelError, ResultFileError, brief
 from bayesftc.cosim.export.c_file import write_c
-from bayesftc.cosim.export.fmu import model_of
+from bayesftc.cosim.export.fmu import late_outputs, model_of
 from bayesftc.cosim.export.names import program_name
 from bayesftc.cosim.export.platforms import platforms_of
 from bayesftc.cosim.export.program import program_of
@@ -122,6 +122,8 @@ def export_fmu(
             build_fmu(model, scratch, fmi=fmi, platforms=requested).replace(target)
         except RuntimeError as error:  # no compiler, a failing one, or an unknown platform
             raise FMUError(f"{target} cannot be built: {error}") from error
+    if timing is None and (late := late_outputs(program)):
+        tell(late)
     return target
 
 

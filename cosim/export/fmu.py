@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from bayesftc.cosim.base.units import BASE, parse
+from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.opening import OUTSIDE
 from bayesftc.cosim.diagram.roles import MATRICES, traits
 from bayesftc.cosim.diagram.wiring import is_controller, samples_ahead
@@ -167,6 +168,23 @@ def _behind_fmi(program: Program, file: CFile, timing: Timing) -> str:
 
 def _size(group: Sequence[Signal | Tunable]) -> int:
     return sum(len(each.start) for each in group)
+
+
+def late_outputs(program: Program) -> str:
+    """Return a sentence if only some outputs of a system have direct feedthrough: all then get the timing of a controller."""
+    inner = [node for node in program.schedule.nodes if node.name != OUTSIDE]
+    if len(inner) != 1 or not isinstance(inner[0].block, StateSpace):
+        return ""
+    inputs = {signal.name for signal in program.inputs}
+    acting = {output: sorted(names & inputs) for output, names in feeding(program, feeding_elements(program)).items()}
+    direct, other = ([name for name, of in acting.items() if bool(of) == wanted] for wanted in (True, False))
+    if not direct or not other:
+        return ""
+    return (
+        f"The input {acting[direct[0]][0]} acts on the output {direct[0]} directly, so all outputs belong to the beginning of a "
+        f"step (timing 'sampled'): in another tool, {', '.join(other)} are a step late. For a plant, leave out such outputs: "
+        f"outputs={other!r}."
+    )
 
 
 def _timing(program: Program, sources: Mapping[str, frozenset[str]], requested: Timing | None, *, once: bool) -> Timing:

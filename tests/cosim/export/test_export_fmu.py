@@ -465,6 +465,42 @@ def test_outputs_that_change_a_state_are_computed_once_a_step(tmp_path, c_compil
     np.testing.assert_array_equal(run["fmu.y"], [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
+def test_a_plant_with_one_direct_output_says_that_all_are_sampled(tmp_path, caplog):
+    """A disk with an accelerometer was a step late in another tool, and refused as a plant with advice that did not help."""
+    arm = control.ss(
+        [[0, 1], [-9, -0.1]], [[0, 0], [1, 0.5]], [[1, 0], [0, 1], [-9, -0.1]], [[0, 0], [0, 0], [0, 0.5]],
+        inputs=["drive", "load"], outputs=["angle", "speed", "acceleration"],
+    )  # fmt: skip
+    with caplog.at_level("INFO", logger="bayesftc"):
+        sampled = cosim.FMU(cosim.export_fmu(cosim.StateSpace(arm), tmp_path / "arm.fmu", dt=0.01))
+    (said,) = [record.getMessage() for record in caplog.records if "step late" in record.getMessage()]
+    assert "The input load acts on the output acceleration directly" in said
+    assert said.endswith("outputs=['angle', 'speed'].")
+    caplog.clear()
+    with caplog.at_level("INFO", logger="bayesftc"):
+        path = cosim.export_fmu(cosim.StateSpace(arm), tmp_path / "two.fmu", dt=0.01, outputs=["angle", "speed"])
+    assert not [record for record in caplog.records if "step late" in record.getMessage()]
+    assert (sampled.timing, cosim.FMU(path).timing) == ("sampled", "plant")
+
+    def loop(plant):
+        controller = controllers.design(
+            arm, measured=["angle", "speed"], actuated="drive", goal="angle", dt=0.01, acceptable_error=0.1,
+            acceptable_control=1.0,
+        )  # fmt: skip
+        return cosim.closed_loop(
+            plant,
+            controller,
+            control="drive",
+            measured=["angle", "speed"],
+            sensors=cosim.Sensors([1, 1], 0.01),
+            reference=0.1,
+        )
+
+    with pytest.raises(cosim.AlgebraicLoopError, match=r"'plant' is an FMU with timing='sampled'.*\(outputs=\.\.\.\)"):
+        loop(sampled).simulate(0.1)
+    loop(cosim.FMU(path)).simulate(0.1, engine="interpreted")
+
+
 def test_a_block_in_place_of_the_diagram_is_refused(tmp_path):
     with pytest.raises(cosim.ModelError, match=r"verify_fmu\(\) needs the diagram .* It is Saturation"):
         cosim.verify_fmu(tmp_path / "x.fmu", cosim.Saturation(-1.0, 1.0), duration=4.0)

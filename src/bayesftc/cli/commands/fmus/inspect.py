@@ -177,6 +177,8 @@ def _feedthrough(description: FMUDescription) -> str:
     """Return which outputs depend at the same instant on which inputs."""
     if not any(v.causality == "input" for v in description.variables):
         return "none"
+    if description.timing == "sampled":
+        return "within a step: its outputs belong to the beginning of the step, and take all inputs of that time"
     lines = [
         f"{output} <- {'any input (not stated)' if inputs is None else ', '.join(inputs)}"
         for output, inputs in description.feedthrough.items()
