@@ -41,11 +41,13 @@ PROCESS_REMARK = (
 NOTHING_FOUND = "The controller infers no fault."
 BEFORE = "A fault that begins while its sensor is blamed already counts as detected at once."
 FALSE_ALARMS = (
-    "False alarms: {}, which is {} to {} an hour of each sensor (95 % interval). Each time that a fault probability of "
+    "False alarms: {}, which is {} to {} {} of each sensor (95 % interval). Each time that a fault probability of "
     "a healthy sensor rises to 0.5 counts, also within one row of inferred faults. How to have fewer: "
     "docs/how-to/alarm-threshold.md."
 )
 """What is said below the table of sensors of alarms that begin without a fault."""
+SECONDS = 3600.0
+"""Seconds of an hour."""
 BETWEEN = (
     "Where an AUC is below .5 but no fault was missed, the alarms are rare, as those at outliers (Spikes): the samples between "
     "them count as faulty, too."
@@ -205,8 +207,11 @@ def _below_sensors(sensors: Sequence[Mapping[str, Any]], alarms: Mapping[str, An
     """Return what is said below the table of sensors, of which some are blamed."""
     remarks = []
     if alarms and alarms["false_alarms"]:
-        bounds = (f"{bound:.2g}" if bound < 100 else f"{bound:.0f}" for bound in alarms["false_alarms_per_hour_ci"])
-        remarks.append(FALSE_ALARMS.format(alarms["false_alarms"], *bounds))
+        interval = alarms["false_alarms_per_hour_ci"]
+        seconds, unit = (1.0, "a second") if interval[0] >= SECONDS else (SECONDS, "an hour")  # of loops of some kHz
+        bounds = [bound * seconds / SECONDS for bound in interval]
+        shown = (f"{bound:.2g}" if bound < 100 else f"{bound:.0f}" for bound in bounds)
+        remarks.append(FALSE_ALARMS.format(alarms["false_alarms"], *shown, unit))
     if any(map(_blamed_before, sensors)):
         remarks.append(BEFORE)
     if any(s["auc"] is not None and s["auc"] < 0.5 and not s["missed"] and not _blamed_before(s) for s in sensors):

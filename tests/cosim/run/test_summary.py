@@ -13,6 +13,7 @@ from bayesftc.cosim.judging.findings import numbers_of
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
+from bayesftc.cosim.run import summary
 from bayesftc.cosim.run.summary import findings_table, tables_of
 from bayesftc.scenario import load_scenario
 
@@ -73,9 +74,12 @@ def test_alarms_that_begin_without_a_fault_are_counted():
     judged = cosim.judge_alarms(
         result["controller.fault_probability"], faulty, threshold=0.5, step=float(result.time[1])
     )
-    low, high = (f"{bound:.2g}" if bound < 100 else f"{bound:.0f}" for bound in judged.rate_interval())
+    assert judged.rate_interval()[0] > 3600  # in an hour
+    low, high = (f"{bound / 3600:.2g}" for bound in judged.rate_interval())
     assert judged.false_alarms >= 3
-    said = f"False alarms: {judged.false_alarms}, which is {low} to {high} an hour of each sensor (95 % interval)."
+    seldom = {"false_alarms": 3, "false_alarms_per_hour_ci": (0.25, 121.0)}
+    assert "3, which is 0.25 to 121 an hour of each sensor" in summary._below_sensors([], seldom)
+    said = f"False alarms: {judged.false_alarms}, which is {low} to {high} a second of each sensor (95 % interval)."
     assert said in repr(result.summary())
 
 
