@@ -12,8 +12,8 @@ from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.findings import numbers_of
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
-from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.run import summary
+from bayesftc.cosim.run.result import ESTIMATE_A_LOAD
 from bayesftc.cosim.run.summary import findings_table, tables_of
 from bayesftc.scenario import load_scenario
 
