@@ -45,7 +45,8 @@ class Boundary(Block):
     step: Fraction
     inside: Diagram | None = field(default=None, compare=False, repr=False)
     goals: tuple[str, ...] = ()
-    preview: int = 0
+    led: tuple[str, ...] = ()
+    """Names of the blocks inside whose goal is that of the subsystem."""
 
     @property
     def sample_time(self) -> Fraction:
@@ -176,26 +177,8 @@ class Subsystem(Block):
     @property
     def boundary(self) -> Boundary:
         """The block that has its ports in the diagram that contains it."""
-        return Boundary(self.inputs, self.outputs, self.diagram.step, self.diagram, self.goals, self.preview)
-
-    @property
-    def preview(self) -> int:
-        """By how many samples the goal lies ahead: as for the controller inside that it feeds, 0 without a preview.
-
-        Raises
-        ------
-        ModelError
-            If it feeds controllers with different previews.
-        """
-        from bayesftc.cosim.diagram.wiring import preview_of  # it needs this module
-
-        ahead = {preview_of(self.diagram, each.node) for each in self.fed.get("goal", ()) if each.port.name == "goal"}
-        if len(ahead) > 1:
-            raise ModelError(
-                "The goal of a subsystem feeds controllers inside with different previews. Give them the same preview, or each "
-                "an input of its own."
-            )
-        return int(ahead.pop() / self.diagram.step) if ahead else 0
+        led = tuple(each.node.name for each in self.fed.get("goal", ()) if each.port.name == "goal")
+        return Boundary(self.inputs, self.outputs, self.diagram.step, self.diagram, self.goals, led)
 
     @property
     def inputs(self) -> tuple[Port, ...]:

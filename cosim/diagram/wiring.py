@@ -21,7 +21,7 @@ from bayesftc.cosim.blocks.sources import Constant
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef, label
-from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary
+from bayesftc.cosim.diagram.subsystem import INSIDE, Boundary, Subsystem
 from bayesftc.cosim.errors import ConnectionError, ModelError, brief
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.ports import Port, labels
@@ -450,7 +450,20 @@ def goal_names(controller: Block) -> list[str]:
 
 
 def samples_ahead(controller: Block) -> int:
-    """Return by how many of its samples a controller's goal lies ahead, from its property ``preview`` or its FMU; else 0."""
+    """Return by how many of its samples a controller's goal lies ahead, from its property ``preview`` or its FMU; else 0.
+
+    Of a subsystem it is that of the controller inside that gets its goal.
+    """
+    if isinstance(controller, Subsystem):
+        controller = controller.boundary
+    if isinstance(controller, Boundary) and controller.inside is not None:
+        ahead = {preview_of(controller.inside, controller.inside[name]) for name in controller.led}
+        if len(ahead) > 1:
+            raise ModelError(
+                "The goal of a subsystem feeds controllers inside with different previews. Give them the same preview, or each "
+                "an input of its own."
+            )
+        return int(ahead.pop() / controller.step) if ahead else 0
     told = getattr(controller, "traits", None)
     given = told.get("preview", 0) if isinstance(told, Mapping) else 0
     number = real(getattr(controller, "preview", given))

@@ -8,6 +8,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import FixedPrecision, LinearModel, LQGController
+from bayesftc.cosim.diagram.wiring import samples_ahead
 from bayesftc.cosim.errors import ConnectionError, ModelError
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
@@ -126,14 +127,15 @@ def test_a_subsystem_has_the_preview_of_the_controller_inside(every):
     inside = cosim.Diagram(dt=0.1 / every)
     inside.add(plain["controller"].block, "own", every=every)
     whole = cosim.Subsystem(inside, {"y": "own.y", "goal": "own.goal"}, {"u": "own.u"}, goals=["y"])
-    assert whole.preview == 10 * every
+    assert samples_ahead(whole) == 10 * every
     loop = cosim.closed_loop(
         plain["plant"].block, whole, control="u", measured="y", sensors=cosim.Sensors(count=2, std=0.02), reference=SINE,
     )  # fmt: skip
     assert lag(loop) == pytest.approx(lag(plain), abs=0.02)
     inside.add(loop_of(preview=3)["controller"].block, "other", every=every)
+    both = cosim.Subsystem(inside, {"y": ["own.y", "other.y"], "goal": ["own.goal", "other.goal"]}, {"u": "own.u"})
     with pytest.raises(ModelError, match="controllers inside with different previews"):
-        cosim.Subsystem(inside, {"y": ["own.y", "other.y"], "goal": ["own.goal", "other.goal"]}, {"u": "own.u"}).preview  # noqa: B018
+        samples_ahead(both)
 
 
 def test_a_factor_changes_the_preview_behind_a_block():
