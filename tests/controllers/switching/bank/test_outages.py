@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers
-from bayesftc.controllers import DroppedOut, LinearModel, Offset, SwitchingPrecision
+from bayesftc.controllers import DroppedOut, Frozen, LinearModel, Offset, SwitchingPrecision
 
 A, Q, STEP = 0.999, 0.01, 0.1
-NAMES = ("x_hat", "P", "mode_probability", "fault_size", "log_density")
+NAMES = ("x_hat", "P", "mode_probability", "fault_size", "fault_onset", "log_density")
 
 
 def estimated(model, precision, rows, initial, variance, compiled=False):
@@ -51,6 +51,20 @@ def test_in_the_joint_form_only_the_state_is_predicted_in_an_outage():
     for one, other in zip(outs, estimated(model, precision, rows, [20.0], 1.0, compiled=True), strict=True):
         for name in NAMES:
             np.testing.assert_array_equal(one[name], other[name])
+
+
+@pytest.mark.parametrize("joint", [True, False])
+@pytest.mark.parametrize("frozen", [True, False])
+def test_the_onset_of_a_fault_remains_over_an_outage(joint, frozen):
+    """In the joint form it moved on by the length of the outage, past the begin of the alarm."""
+    model = LinearModel([[A]], [[0.0]], [[1.0]] * 3, Q, 1.0, STEP)
+    rows = rows_with_an_outage()[:-30]
+    if frozen:
+        rows[20:60, 0] = rows[260:, 0] = rows[19, 0]
+    precision = SwitchingPrecision((Frozen(), Offset(), DroppedOut()), joint=joint, process_modes=(), outages=True)
+    outs = estimated(model, precision, rows, [20.0], 1.0)
+    onsets = [out.fault_onset[0] for out in outs[40:]]
+    np.testing.assert_allclose(onsets, 20 * STEP, atol=5 * STEP)  # of an outage of 200 steps
 
 
 def test_without_outages_an_offset_has_to_be_found_anew():
