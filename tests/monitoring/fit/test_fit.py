@@ -236,6 +236,29 @@ def test_biases_resolution_repeats_and_gaps_are_found():
     assert three.missing == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("share", [0.001, 0.005, 0.02, 0.1, 0.6])
+@pytest.mark.parametrize("frozen", [0.0, 0.1, 0.25, 0.4])
+def test_repeats_and_missing_samples_are_counted_without_a_freeze_and_a_gap(frozen, share):
+    """The share was that of the median of 64 parts: of 44 samples none or one repeats."""
+    steps, seed = 2880, round(1000 * share + 100 * frozen)
+    rng = np.random.default_rng([5, seed])
+    y = level(steps, 1.0, 0.01, rng)[:, None] + 0.1 * rng.standard_normal((steps, 3))
+    hold(y[:, 0], share, rng)
+    y[rng.random(steps) < share, 1] = np.nan
+    first = int(rng.uniform(0.1, 0.9 - frozen) * steps)
+    healthy = np.ones(steps, dtype=bool)
+    if frozen:
+        part = slice(first, first + int(frozen * steps))
+        y[part, 0], y[part, 1], healthy[part.start : part.stop + 1] = y[first - 1, 0], np.nan, False
+    repeats = (np.diff(y[:, 0], prepend=np.nan) == 0)[healthy].mean()
+    missing = np.isnan(y[:, 1])[healthy].mean()
+    fitted = fit_model(recording(y, 0.01)).sensors
+    off = (3.0 if frozen else 0.1) * np.sqrt(share * (1 - share) / healthy.sum())  # in standard errors of a count
+    assert fitted["s0"].repeats == pytest.approx(max(repeats, 0.001), abs=off)
+    assert fitted["s1"].missing == pytest.approx(missing, abs=off)
+
+
 def test_lasting_and_shared_errors_are_found():
     rng = np.random.default_rng(6)
     decay = np.exp(-1 / 5.0)

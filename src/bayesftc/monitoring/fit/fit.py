@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
+from bayesftc.cosim.base.numbers import MAD
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.columns import SensorErrors
@@ -36,9 +37,10 @@ class FittedSensor:
     resolution : float
         Its samples are multiples of this, before the division by the gain; 0 if they are not.
     repeats : float
-        Share of its samples that equal the one before, while it changes at all; at least the default of `Sensor`.
+        Share of its samples that equal the one before, without parts of the recording with far more of them, such as a freeze;
+        at least the default of `Sensor`.
     missing : float
-        Share of the steps without a sample.
+        Share of the steps without a sample, without parts with far more of them, such as a gap.
     gain : float
         How far it moves while the others move by 1; 1 if nothing shows that it moves otherwise.
 
@@ -240,7 +242,7 @@ def _stranger(recording: Recording, i: int, level: Floats, stretch: slice) -> Fi
 def _samples(recording: Recording, i: int, stretch: slice, changing: Floats) -> tuple[float, float, float]:
     """Return the resolution of a sensor, its share of repeated samples while it changes, and that of missing ones."""
     repeats = _repeats(changing, _width(recording.y[:, i], recording.resolution[i]))
-    return recording.resolution[i], max(repeats, HEALTHY_REPEATS), _typical(np.isnan(recording.y[stretch, i]))
+    return recording.resolution[i], max(repeats, HEALTHY_REPEATS), _usual(np.isnan(recording.y[stretch, i]))
 
 
 def _fit(recording: Recording, stretch: slice) -> FittedModel:
@@ -447,13 +449,25 @@ def _wandering(y: Floats, whole: Floats, errors: Sequence[Noise]) -> tuple[list[
 
 
 def _repeats(samples: Floats, width: float) -> float:
-    """Return the share of samples that equal the one before in a typical part, so a frozen part has no effect."""
+    """Return the share of samples that equal the one before, without frozen parts."""
     values = samples[np.isfinite(samples)]
-    return _typical(np.abs(np.diff(values)) < 0.25 * width)
+    return _usual(np.abs(np.diff(values)) < 0.25 * width)
 
 
-def _typical(happens: np.ndarray) -> float:
-    """Return the share of true values in a typical part of the steps."""
-    length = max(len(happens) // FIT.parts, FIT.least_part)
-    parts = happens[: max(len(happens) // length, 1) * length].reshape(-1, min(length, len(happens)))
-    return float(np.median(parts.mean(axis=1)))
+def _usual(happens: np.ndarray) -> float:
+    """Return the share of true values, without parts in which all are true, or far more than in the median part.
+
+    The median part alone does not tell a small share: of 40 samples, one or none is true.
+    """
+    parts = np.array_split(happens, min(max(len(happens) // FIT.least_part, 1), FIT.parts))
+    shares, lengths = np.array([part.mean() for part in parts]), np.array([len(part) for part in parts])
+    if (shares == 1).all():
+        return 1.0
+    shares, lengths = shares[shares < 1], lengths[shares < 1]
+    typical = float(np.median(shares))
+    for _ in range(FIT.rounds):
+        by_chance = np.sqrt(np.maximum(typical, 1 / lengths) * (1 - typical) / lengths)
+        spread = np.maximum(MAD * np.median(np.abs(shares - typical)), by_chance)
+        usual = shares <= typical + FIT.clip * spread
+        typical = float(np.average(shares[usual], weights=lengths[usual]))
+    return typical

@@ -76,7 +76,10 @@ class FitSettings:
     quiet: int = chosen(
         64, "steps in which a sensor must change; if not, it does not show its noise: parked, or frozen"
     )
-    parts: int = chosen(64, "number of parts in which repeats are counted; the longest lag is one part of a recording")
+    parts: int = chosen(
+        64,
+        "number of parts in which repeats and missing samples are counted; the longest lag is one part of a recording",
+    )
     least_part: int = chosen(20, "least samples in such a part: a share is then known to a tenth")
     # Motion.
     seen: float = chosen(
@@ -112,7 +115,9 @@ class FitSettings:
         32, "multiple of the shortest lag up to which noise is coloured; longer errors are a wandering bias"
     )
     rounds: int = chosen(
-        3, "times that the sizes of all sensors and their common shape are fitted to each other in turn"
+        3,
+        "times that estimates which need each other are made in turn: sensors' sizes and their common shape, a share and the "
+        "parts that are usual for it",
     )
     louder: float = chosen(
         2.0, "largest ratio of the noise elsewhere to that in the stretch: calm seconds are too quiet"

@@ -64,7 +64,7 @@ def as_model_file(
     ]
     for name, sensor in fitted.sensors.items():
         place = places[name]
-        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.0%} of the steps are without a sample"]
+        lines += ["", f"[sensors.{_key(name)}]  # {sensor.missing:.1%} of the steps are without a sample"]
         if several and place.file:
             lines.append(f"file = {_text(place.file)}")
         if place.column != name:
@@ -88,7 +88,7 @@ def as_model_file(
                 else []
             ),
             f"resolution = {_number(sensor.resolution)}" + ("" if sensor.resolution else "  # too fine to matter"),
-            f"repeats = {_number(sensor.repeats)}  # share of samples that equal the one before",
+            f"repeats = {sensor.repeats:.3g}  # share of samples that equal the one before",
         ]
     for errors in fitted.errors:
         named = ", ".join(map(_text, errors.sensors or ()))

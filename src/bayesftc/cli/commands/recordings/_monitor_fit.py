@@ -15,6 +15,7 @@ import numpy as np
 import typer
 
 from bayesftc.cli import output
+from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.base.announcing import inform
 from bayesftc.cosim.base.recordings.columns import bare_name, column_called
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
@@ -411,7 +412,7 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     for name, sensor in fitted.sensors.items():
         lasting = f"{errors[name]:.3g}" if errors[name] else output.DASH
         resolution = f"{sensor.resolution:.3g}" if sensor.resolution else "fine"
-        shares = f"{sensor.repeats:.0%}", f"{sensor.missing:.0%}"
+        shares = f"{sensor.repeats:.1%}", f"{sensor.missing:.1%}"
         table.add_row(name, f"{sensor.std:.3g}", lasting, f"{sensor.bias:.3g}", resolution, *shares)
     console.print(table)
     for each in fitted.errors:
@@ -425,7 +426,8 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     )
     say(
         "Resolution: least difference of two samples; fine: too small to matter. Repeats: share of samples that equal the one "
-        "before. Missing: share of the steps without a sample, in a typical part of the fitted steps."
+        f"before, at least {HEALTHY_REPEATS:.1%}. Missing: share of the steps without a sample. Both leave out parts of the "
+        "recording with far more than usual, such as a freeze."
     )
     if part.start is not None or part.stop is not None:
         say(
@@ -443,7 +445,7 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
 
 
 def _gaps(recording: Recording) -> str:
-    """Return a sentence about the gaps in which all sensors lack samples, which no typical part has; empty without them."""
+    """Return a sentence about the gaps in which all sensors lack samples, which are unusual parts; empty without them."""
     silent = int(in_gaps(recording.y).all(axis=1).sum())
     return f"The gaps ({silent / len(recording.y):.0%} of the steps) are not counted as missing." if silent else ""
 
