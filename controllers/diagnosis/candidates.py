@@ -91,8 +91,8 @@ NEARLY = 5.0
 AT_ONCE = 16
 """Number of models that are judged at once where sensors are slow, for memory."""
 
-EFFECT = {"sign", "gain"}
-"""One kind in two words: the effect of a control."""
+EFFECT = {"sign", "gain", "gains"}
+"""One kind in three words: the effect of a control, or of several."""
 
 EQUAL = 0.1
 """Difference of two log-likelihood ratios, below the best one, that tells nothing: a tenth in probability."""
@@ -122,11 +122,12 @@ def explanations(judge: Judge) -> list[Explanation]:
 
 
 def best_of_each(found: Iterable[Explanation]) -> list[Explanation]:
-    """Return the best explanation of each kind."""
-    best: dict[str, Explanation] = {}
+    """Return the best explanation of each kind; the effect of each control is a kind of its own."""
+    best: dict[tuple[object, ...], Explanation] = {}
     for x in found:
-        if x.kind not in best or x.total > best[x.kind].total:
-            best[x.kind] = x
+        kind = (x.kind, *x.values[1:]) if x.kind == "gain" else (x.kind,)
+        if kind not in best or x.total > best[kind].total:
+            best[kind] = x
     return list(best.values())
 
 
@@ -377,12 +378,7 @@ def _pushed(judge: Judge) -> list[Explanation]:
     p, each, first = len(B.T), plant, len(linear) * plant
     pushes = [u[:, j, None] * B[:, j] for j in range(p)] + [np.outer(np.ones(len(u)), b) for b in B.T]
     responses = judge.pushes(np.array(pushes + [np.outer(f, d) for f in linear + curved for d in directions]))
-    results = []
-    for j in range(p):
-        fit = judge.fitted("gain", responses[:, j : j + 1])
-        g = 1.0 + fit.values[0]
-        results.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, j)))
-    results.append(judge.fitted("load", responses[:, p : 2 * p]))
+    results = [*judge.gains(responses[:, :p]), judge.fitted("load", responses[:, p : 2 * p])]
     effects, responses = responses[:, :p], responses[:, 2 * p :]
     for j in range(p):
         # Free all dynamics except control j's effect, which the fit gives; with and without nonlinear terms.

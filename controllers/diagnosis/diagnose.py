@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
 from bayesftc.controllers.diagnosis.candidates import (
+    EFFECT,
     NEARLY,
     explanations,
     moved_at_random,
@@ -74,7 +75,7 @@ FITS = 1.5
 
 COMPARING = "Comparing the samples with the model, for seconds to a minute."
 
-SIMPLE = frozenset({"sign", "gain", "dt", "late", "early", "limit", "deadband", "offset"})
+SIMPLE = frozenset({"sign", "gain", "gains", "dt", "late", "early", "limit", "deadband", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
@@ -89,7 +90,7 @@ OF_FAULTS = {"offset", "noise"}
 OPEN = {*FLEXIBLE, "unknown"}
 """Kinds of findings that name no cause, or may fit to what happens at times only."""
 
-WHOLE = {"loss": {"gain", "sign"}, "onset": {"load"}}
+WHOLE = {"loss": EFFECT, "onset": {"load"}}
 """What begins during a run, and what acts all the time: where both explain it about as well, the latter does."""
 
 WHOLLY = 0.9
@@ -129,12 +130,12 @@ class ModelFinding:
     Attributes
     ----------
     kind : str
-        ``"sign"`` or ``"gain"`` of a column of B, ``"dt"`` (the plant is faster or slower), ``"late"`` (a delay or a lag of the
-        control), ``"early"`` (the model's delays are too long), ``"limit"`` (of the control),
-        ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero), ``"nonlinear"`` (far from the point of
-        linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of
-        the actuator that begins during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
-        (all sensors of a quantity have a constant offset), ``"noise"``
+        ``"sign"`` or ``"gain"`` of a column of B, ``"gains"`` of all its columns, each by its own factor, ``"dt"`` (the plant is
+        faster or slower), ``"late"`` (a delay or a lag of the control), ``"early"`` (the model's delays are too long),
+        ``"limit"`` (of the control), ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero),
+        ``"nonlinear"`` (far from the point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load),
+        ``"onset"`` (a load or an offset of the actuator that begins during the run), ``"loss"`` (a control of which the effect
+        changes during the run), ``"offset"`` (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only if another kind would be reported
         without it, or `model_suspect` was raised),
         ``"sensors"`` (one or several sensors failed: without the samples for which the controller blames them there is no
@@ -144,8 +145,9 @@ class ModelFinding:
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
-        ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``dt``: the plant's speed relative
-        to the model's; ``late``: seconds, and 1 for a lag; ``early``: seconds; ``limit``: low, high, and the control's number;
+        ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``gains``: that of each control, and
+        then the standard deviation of each; ``dt``: the plant's speed relative to the model's; ``late``: seconds, and 1 for a
+        lag; ``early``: seconds; ``limit``: low, high, and the control's number;
         ``deadband``: its whole width in the unit of the control, the control's number, and 1 if it is about where the actuator
         stands, 0 if about zero; ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the
         first sample (infinity: to the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin,

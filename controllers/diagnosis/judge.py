@@ -36,6 +36,10 @@ REVERSED, SURELY = (-2.0, -0.5), 3.0
 """A control counts as reversed if its fitted effect is between -2 and -0.5 times the model's, and 3 standard deviations
 below it."""
 
+TOGETHER = 2.0
+"""Log-likelihood ratio, for each effect beyond the first, of other effects of all controls to one of a single control, from
+which on they are named: two standard deviations of each."""
+
 RELEVANT = {"dynamics": 0.05, "nonlinear": 0.05}
 """Least relative decrease of every set's mean squared innovation by these flexible kinds."""
 
@@ -253,6 +257,26 @@ class Judge:
         if not (surely and REVERSED[0] < ratio < REVERSED[1]):
             return []
         return self.of("sign", [(ratio, float(control))], costs, len(theta))
+
+    def gains(self, effects: Floats) -> list[Explanation]:
+        """Fit the effect of each control alone, and all together, from their responses.
+
+        Together they count if they explain clearly more than the best one alone, and none is reversed. Otherwise the run may tell
+        no more than a ratio of two effects, which any of them may explain: then each one is returned, else the best.
+        """
+        alone = []
+        for j in range(self.model.controls):
+            fit = self.fitted("gain", effects[:, j : j + 1])
+            g = 1.0 + fit.values[0]
+            alone.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, float(j))))
+        best, more = max(alone, key=lambda x: x.total), len(alone) - 1
+        if not more:
+            return alone
+        theta, spreads, costs = self._fit(effects)
+        values = (*(1.0 + theta), *(spreads * np.sqrt(costs[1].max())))
+        (together,) = self.of("gains", [tuple(map(float, values))], costs, len(theta))
+        ahead = together.total - best.total + 0.5 * more * np.log(self.rows).sum()  # without the cost of the parameters
+        return [best, together] if ahead > TOGETHER * more and min(theta) > -1.0 else alone
 
     def _fit(self, responses: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""

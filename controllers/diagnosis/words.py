@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.controllers.diagnosis.candidates import AS_STATED
-from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, named, seconds, since, strongly
+from bayesftc.controllers.diagnosis.candidates import AS_STATED, EFFECT
+from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, gains, named, seconds, since, strongly
 from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
 from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
 from bayesftc.cosim.base.numbers import counted
@@ -125,7 +125,7 @@ def sentence(
         which = UNLIKE
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
     first, *more = said
-    whole = {"noise", *(("gain", "sign") if kind == "loss" else ())}
+    whole = {"noise", *(EFFECT if kind == "loss" else ())}
     slow = moved and not recorded and any(_looks_like_play(*each, model) for each in found)
     played = PLAY if slow and all(each != "deadband" for each, _ in found) else ""
     either = "".join(f" Or, {AS_MUCH if said[text] in whole else AS_LIKELY}: {text}" for text in more)
@@ -134,8 +134,9 @@ def sentence(
 
 def _looks_like_play(kind: str, values: Sequence[float], model: LinearModel) -> bool:
     """Return whether play may look like a finding: the control acts late, slowly or weakly, or a load on it changes."""
-    weak, on_control = kind in ("dt", "gain"), model.states - model.disturbances
-    return kind == "late" or (weak and values[0] < 1.0) or (kind == "noise" and values[0] >= on_control)
+    weak, on_control = kind in ("dt", "gain", "gains"), model.states - model.disturbances
+    factors = values[: model.controls if kind == "gains" else 1]
+    return kind == "late" or (weak and max(factors) < 1.0) or (kind == "noise" and values[0] >= on_control)
 
 
 def _actuators(
@@ -254,6 +255,13 @@ def _gain(values: Sequence[float], model: LinearModel) -> str:
     return (
         f"{named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B: the gain of "
         "the actuator, and the mass, inertia or capacity that it acts on."
+    )
+
+
+def _gains(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        f"{gains(values, model, 'control')}. Check B: the gains of the actuators, and the masses, inertias or capacities that "
+        "they act on."
     )
 
 
@@ -524,6 +532,7 @@ def _suspect(values: Sequence[float], model: LinearModel) -> str:
 _WORDS = {
     "sign": _sign,
     "gain": _gain,
+    "gains": _gains,
     "dt": _dt,
     "late": _late,
     "early": _early,

@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, since, strongly
+from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, gains, since, strongly
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -37,6 +37,13 @@ def _gain(values: Sequence[float], model: LinearModel) -> str:
         f"{_input(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check its unit and "
         f"scale.{noise}"
     )
+
+
+def _gains(values: Sequence[float], model: LinearModel) -> str:
+    noise = (
+        " If they are measured, much noise in them has this effect, too." if max(values[: model.controls]) < 1.0 else ""
+    )
+    return f"{gains(values, model, 'input')}. Check their units and scales.{noise}"
 
 
 def _late(values: Sequence[float], model: LinearModel) -> str:
@@ -117,6 +124,7 @@ def of_inputs(first: datetime | None) -> dict[str, Callable[[Sequence[float], Li
     return {
         "sign": _sign,
         "gain": _gain,
+        "gains": _gains,
         "late": _late,
         "early": _early,
         "limit": _limit,

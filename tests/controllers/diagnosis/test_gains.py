@@ -1,0 +1,74 @@
+"""Wrong effects of several controls at once, and plants that are linear."""
+
+import numpy as np
+import pytest
+
+from bayesftc import controllers
+from bayesftc.controllers.diagnosis.words import sentence
+from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
+
+NAMES = controllers.SignalNames(controls=["heat", "feed"], sensors=["T", "T", "c", "c"], states=["T", "c"])
+MODEL = controllers.LinearModel(
+    [[0.95, 0.02], [0.0, 0.9]],
+    [[0.1, -0.05], [0.0, 0.1]],
+    np.eye(2)[[0, 0, 1, 1]],
+    1e-4,
+    [0.01] * 4,
+    dt=1.0,
+    names=NAMES,
+)
+
+
+def recorded(factors, seed, u=None):
+    """Return samples and controls of the model's plant, in which each control has a factor."""
+    rng, x = np.random.default_rng(seed), np.zeros((400, 2))
+    u = np.repeat(rng.normal(size=(80, 2)), 5, axis=0) if u is None else u
+    for k in range(399):
+        x[k + 1] = MODEL.A @ x[k] + MODEL.B @ (np.array(factors) * u[k]) + 0.01 * rng.standard_normal(2)
+    return x[:, [0, 0, 1, 1]] + 0.1 * rng.standard_normal((400, 4)), u
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("factors", [(1.2, 0.8), (0.7, 1.3)])
+def test_the_effect_of_each_control_is_measured(factors, seed):
+    finding = controllers.diagnose_recording(MODEL, *recorded(factors, seed))
+    assert finding.kind == "gains"
+    found, std = np.split(np.array(finding.values), 2)
+    assert np.all(np.abs(found - factors) < 4 * std)
+    assert np.all(std < 0.05)
+    assert f"the controls heat and feed move the plant {found[0]:.3g} and {found[1]:.3g} times" in finding.sentence
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("factors", [(1.0, 0.7), (1.3, 1.0)])
+def test_the_effect_of_one_control_is_named_alone(factors, seed):
+    finding = controllers.diagnose_recording(MODEL, *recorded(factors, seed))
+    wrong = int(np.argmax(np.abs(np.array(factors) - 1.0)))
+    assert finding.kind == "gain"
+    assert not {"gain", "gains"} & set(finding.others)
+    assert finding.values == (pytest.approx(factors[wrong], abs=0.05), wrong)
+
+
+def test_where_only_the_sum_of_two_effects_shows_either_control_may_be_wrong():
+    model = controllers.LinearModel([[0.95]], [[0.1, 0.1]], [[1.0], [1.0]], 1e-4, 0.01, dt=1.0)
+    rng, x = np.random.default_rng(0), np.zeros((400, 1))
+    u = np.repeat(np.repeat(rng.normal(size=(80, 1)), 5, axis=0), 2, axis=1)  # the two always move together
+    for k in range(399):
+        x[k + 1] = 0.95 * x[k] + 0.1 * (1.2 + 0.9) * u[k, :1] + 0.01 * rng.standard_normal()
+    finding = controllers.diagnose_recording(model, x + 0.1 * rng.standard_normal((400, 2)), u)
+    assert (finding.kind, finding.others[0]) == ("gain", "gain")
+    for control in range(2):  # as if the other one were right
+        assert f"control {control} moves the plant {finding.values[0]:.3g} times" in finding.sentence
+    assert finding.values[0] == pytest.approx(1.1, abs=0.05)
+
+
+def test_each_of_several_controls_is_listed_with_its_factor():
+    model = controllers.LinearModel(np.eye(3), np.eye(3), np.eye(3), 1e-3, 0.01, dt=1.0)
+    said = sentence("gains", (0.5, 0.8, 0.71234, 0.01, 0.02, 0.034), model)
+    assert "controls 0, 1 and 2 move the plant 0.5, 0.8 and 0.712 times as strongly as in the model" in said
+    assert "(standard deviations 0.01, 0.02 and 0.03)" in said
+    assert "A dead band" in said
+    assert "A dead band" not in sentence("gains", (0.5, 0.8, 1.2, 0.01, 0.02, 0.03), model)
+    said = of_inputs(None)["gains"]((0.5, 0.8, 0.01, 0.02), MODEL)
+    assert said.startswith("heat and feed move the plant 0.5 and 0.8 times")
+    assert "noise in them" in said
