@@ -387,10 +387,12 @@ def _pushed(judge: Judge) -> list[Explanation]:
         for last in (first - plant, others.shape[1]):
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     results.append(judge.fitted("dynamics", responses[:, :first]))
-    terms = [judge.fitted("nonlinear", responses[:, i : i + each]) for i in range(first, responses.shape[1], each)]
-    bent = [*terms, judge.fitted("nonlinear", responses[:, first:]), judge.fitted("nonlinear", responses)]
+    bent: list[Explanation] = []
+    if not judge.recording.linear:
+        terms = [responses[:, i : i + each] for i in range(first, responses.shape[1], each)]
+        bent = [judge.fitted("nonlinear", some) for some in (*terms, responses[:, first:], responses)]
     # One linear term has as few numbers as a nonlinear one. Near one state they explain the same: then the nonlinear one counts.
-    clear = max(x.total for x in bent) + NEARLY
+    clear = max((x.total + NEARLY for x in bent), default=-np.inf)
     alone = [judge.fitted("dynamics", responses[:, i : i + each]) for i in range(each, first, each)]
     return [*results, *bent, *(x for x in alone if x.total > clear)]
 

@@ -46,7 +46,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.wiring import find_inference, inferring
+from bayesftc.cosim.diagram.wiring import find_inference, inferring, is_linear
 from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
@@ -133,9 +133,10 @@ class ModelFinding:
         ``"sign"`` or ``"gain"`` of a column of B, ``"gains"`` of all its columns, each by its own factor, ``"dt"`` (the plant is
         faster or slower), ``"late"`` (a delay or a lag of the control), ``"early"`` (the model's delays are too long),
         ``"limit"`` (of the control), ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero),
-        ``"nonlinear"`` (far from the point of linearisation), ``"dynamics"`` (another A), ``"load"`` (a constant load),
-        ``"onset"`` (a load or an offset of the actuator that begins during the run), ``"loss"`` (a control of which the effect
-        changes during the run), ``"offset"`` (all sensors of a quantity have a constant offset), ``"noise"``
+        ``"nonlinear"`` (far from the point of linearisation; never in a closed loop with a linear plant), ``"dynamics"``
+        (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of the actuator that begins
+        during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
+        (all sensors of a quantity have a constant offset), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only if another kind would be reported
         without it, or `model_suspect` was raised),
         ``"sensors"`` (one or several sensors failed: without the samples for which the controller blames them there is no
@@ -246,6 +247,7 @@ def diagnose(
     >>> controllers.diagnose(run, controller).kind
     'sign'
     """
+    linear = isinstance(controller, Diagram) and is_linear(controller)
     if isinstance(controller, Diagram):
         node = find_inference(controller)
         controller, name = inferring(node.block), node.name
@@ -269,7 +271,9 @@ def diagnose(
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
 
     def found(samples: Floats, alone: bool = False) -> ModelFinding | None:
-        return _finding(model, samples, u, controller.initial_mean, alone=alone, inferred=inferred, units=units)
+        return _finding(
+            model, samples, u, controller.initial_mean, alone=alone, inferred=inferred, units=units, linear=linear
+        )
 
     result = found(samples, raised)
     if nothing := result is None and raised:
@@ -291,7 +295,7 @@ def diagnose(
         return result
     its = signals_of(roles, signals, drawn=result.kind in OPEN)  # type: ignore[arg-type]
     pushed = moved_at_times(its.time, its.process)
-    far = "" if result.kind == "nonlinear" else far_goal(model, its)
+    far = "" if linear or result.kind == "nonlinear" else far_goal(model, its)
     acting = inferred_fault(inferred, model)
     acting = "" if acting in result.sentence else acting
     loud = stated_too_large(samples, np.sqrt(np.diag(model.matrix("sensor_covariance"))), model.alike)
@@ -489,11 +493,12 @@ def _finding(
     units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
     recorded: bool = False,
     first_sample: datetime | None = None,
+    linear: bool = False,
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
 
     `units` are those of the sensors and of the controls; these may be the `recorded` inputs of a monitor, with the
-    date of their `first_sample`, if known.
+    date of their `first_sample`, if known. `linear`: the plant is known to be linear.
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (given := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
@@ -501,7 +506,7 @@ def _finding(
                 f"The recording has {given} {kind}, but the model has {columns}. Give the samples and controls of the sensors "
                 "and actuators in the model."
             )
-    result = best_explanations(model, y, u, initial_mean, alone=alone)
+    result = best_explanations(model, y, u, initial_mean, alone=alone, linear=linear)
     if not result:
         return None
     best = result[0]
@@ -517,6 +522,7 @@ def _finding(
         elsewhere=load.elsewhere,
         state=load.state,
         first_sample=first_sample,
+        linear=linear,
     )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
     return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
@@ -525,7 +531,13 @@ def _finding(
 @np.errstate(all="ignore")  # of a plant that is lost, or a model that is far off: what is not finite explains nothing
 @threadpool_limits.wrap(limits=1, user_api="blas")  # matrices this small take several times as long on several threads
 def best_explanations(
-    model: LinearModel, y: ArrayLike, u: ArrayLike, initial_mean: ArrayLike = 0.0, *, alone: bool = False
+    model: LinearModel,
+    y: ArrayLike,
+    u: ArrayLike,
+    initial_mean: ArrayLike = 0.0,
+    *,
+    alone: bool = False,
+    linear: bool = False,
 ) -> list[Explanation]:
     """Return the best explanation of a recording, then those nearly as good; see `_finding` for the arguments."""
     samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
@@ -548,6 +560,7 @@ def best_explanations(
         mean,
         presence=presence_of(samples[:last], sorted({i for chosen in bank.sensors for i in chosen})),
         late=() if delays is None else tuple(late + min(delays.sensors) for late in delays.inputs),
+        linear=linear,
     )
     moved = recording.u @ model.matrix("B").T
     base = innovations([model], [bank], recording, moved[None, None])[0][0][:, 0]

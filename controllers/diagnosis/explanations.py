@@ -44,6 +44,8 @@ class Recording:
         Samples by which each control acted after it was sent, to which delays of all sensors add; empty without a delay.
     offsets : tuple of int
         Sensors with an unknown constant offset.
+    linear : bool
+        Whether the plant is known to be linear.
     """
 
     y: Floats
@@ -53,6 +55,7 @@ class Recording:
     presence: Presence | None = None
     late: tuple[int, ...] = ()
     offsets: tuple[int, ...] = ()
+    linear: bool = False
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""

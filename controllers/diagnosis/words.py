@@ -98,21 +98,22 @@ def sentence(
     elsewhere: bool = False,
     state: int | None = None,
     first_sample: datetime | None = None,
+    linear: bool = False,
 ) -> str:
     """Return the sentence for a finding's kind and values (see `ModelFinding`), and for others that fit nearly as well.
 
     `inferred` has the largest fault probability of each actuator; None if the controller infers none. `units` has the unit of
     each sensor, `control_units` of each control, if known. `recorded`: the controls are the recorded inputs of a monitor, which
     may be measured ones, and `first_sample` is the date of the first sample, if known. `elsewhere`: a load that begins acts where
-    no control does, and as this `state` of the model, if it has one for it.
+    no control does, and as this `state` of the model, if it has one for it. `linear`: the plant is known to be linear.
     """
     found, moved = [(kind, values), *others], bool(np.any(model.B))
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "load": partial(_load, units=control_units),
         "deadband": partial(_deadband, units=control_units),
-        "loss": partial(_loss, units=control_units),
-        "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state),
+        "loss": partial(_loss, units=control_units, linear=linear),
+        "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state, linear=linear),
         "noise": partial(_noise, units=control_units),
         **(of_inputs(first_sample) if recorded else {}),
         "offset": partial(_offset, units=units, controlled=moved and not recorded),
@@ -454,7 +455,12 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
 
 
 def _onset(
-    values: Sequence[float], model: LinearModel, units: Sequence[str | None], elsewhere: bool, state: int | None
+    values: Sequence[float],
+    model: LinearModel,
+    units: Sequence[str | None],
+    elsewhere: bool,
+    state: int | None,
+    linear: bool,
 ) -> str:
     each = 2 + model.controls
     loads = [values[k : k + each] for k in range(0, len(values), each)]
@@ -468,7 +474,7 @@ def _onset(
             "in design and in a scenario; of a LinearModel: process_covariance)."
         )
     if elsewhere:
-        ends = any(np.isfinite(load[1]) for load in loads)
+        ends = not linear and any(np.isfinite(load[1]) for load in loads)
         far = "If the plant is far from its operating point meanwhile, its nonlinearity may look the same. " * ends
         acts = f"a load acts {times}, " if len(loads) == 1 else f"one load acts {times}; at least one of the two acts "
         return (
@@ -485,15 +491,14 @@ def _onset(
     )
 
 
-def _loss(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+def _loss(values: Sequence[float], model: LinearModel, units: Sequence[str | None], linear: bool) -> str:
     control = named(values[3], model)
     if len(values) > STUCK_AT:
         unit = behind(units[int(values[3])]) if len(units) == model.controls else ""
         return f"{control} is stuck at about {values[STUCK_AT]:.3g}{unit} {since(values)}. Look for a fault of the actuator."
-    return (
-        f"{control} moves the plant {strongly(values[2])} {since(values)}. Look for a fault of the actuator. If the plant is "
-        "then at another operating point, its nonlinearity looks the same: design for that point (at=...)."
-    )
+    far = " If the plant is then at another operating point, its nonlinearity looks the same: design for that point (at=...)."
+    how = f"{control} moves the plant {strongly(values[2])} {since(values)}"
+    return f"{how}. Look for a fault of the actuator.{'' if linear else far}"
 
 
 def _nonlinear(values: Sequence[float], model: LinearModel) -> str:

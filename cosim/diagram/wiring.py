@@ -15,6 +15,7 @@ from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
+from bayesftc.cosim.blocks.linear_system import LinearSystem
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
@@ -79,6 +80,17 @@ def inferring(block: Block) -> Block:
         return inferring(find_inference(block.inside).block)
     except ModelError:
         return block
+
+
+def is_linear(diagram: Diagram) -> bool:
+    """Return whether all blocks with inputs of a loop, but for its sensors, its controller and faults, are linear systems."""
+    own = find_inference(diagram).name
+    return all(
+        isinstance(block := node.block, Fault | Sensors)
+        or (isinstance(block, StateSpace) and isinstance(block.system, LinearSystem))
+        for node in diagram.nodes
+        if node.inputs and node.name != own and not node.name.startswith(f"{own}.")
+    )
 
 
 def _is_estimator(node: Node) -> bool:

@@ -1,11 +1,13 @@
 """Wrong effects of several controls at once, and plants that are linear."""
 
+import control
 import numpy as np
 import pytest
 
-from bayesftc import controllers
+from bayesftc import controllers, cosim
 from bayesftc.controllers.diagnosis.words import sentence
 from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
+from bayesftc.cosim.diagram.wiring import is_linear
 
 NAMES = controllers.SignalNames(controls=["heat", "feed"], sensors=["T", "T", "c", "c"], states=["T", "c"])
 MODEL = controllers.LinearModel(
@@ -57,8 +59,8 @@ def test_where_only_the_sum_of_two_effects_shows_either_control_may_be_wrong():
         x[k + 1] = 0.95 * x[k] + 0.1 * (1.2 + 0.9) * u[k, :1] + 0.01 * rng.standard_normal()
     finding = controllers.diagnose_recording(model, x + 0.1 * rng.standard_normal((400, 2)), u)
     assert (finding.kind, finding.others[0]) == ("gain", "gain")
-    for control in range(2):  # as if the other one were right
-        assert f"control {control} moves the plant {finding.values[0]:.3g} times" in finding.sentence
+    for j in range(2):  # as if the other one were right
+        assert f"control {j} moves the plant {finding.values[0]:.3g} times" in finding.sentence
     assert finding.values[0] == pytest.approx(1.1, abs=0.05)
 
 
@@ -72,3 +74,57 @@ def test_each_of_several_controls_is_listed_with_its_factor():
     said = of_inputs(None)["gains"]((0.5, 0.8, 0.01, 0.02), MODEL)
     assert said.startswith("heat and feed move the plant 0.5 and 0.8 times")
     assert "noise in them" in said
+
+
+def loop_of(bend=0.0, **faults):
+    """Return the loop of a plant that is linear, or slower where it is far from zero."""
+    signals = {"inputs": ["u"], "outputs": ["x"]}
+    linear = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, **signals)
+    bent = control.nlsys(lambda t, x, u, p: -x - bend * x**2 + u, lambda t, x, u, p: x, states=1, **signals)
+    plant = cosim.StateSpace(bent, feedthrough=False) if bend else cosim.StateSpace(linear)
+    controller = controllers.design(
+        linear,
+        measured="x",
+        actuated="u",
+        sensors=2,
+        sensor_std=0.02,
+        dt=0.1,
+        acceptable_error=0.1,
+        acceptable_control=1.0,
+    )
+    reference = cosim.Sine(amplitude=1.0, period=8.0, offset=1.0)
+    return cosim.closed_loop(
+        plant,
+        controller,
+        control="u",
+        measured="x",
+        sensors=cosim.Sensors(2, 0.02),
+        reference=reference,
+        input_faults=faults,
+    )
+
+
+def test_a_loop_of_linear_systems_is_linear():
+    assert is_linear(loop_of())
+    assert is_linear(loop_of(u=cosim.Bias(magnitude=0.1)))
+    assert not is_linear(loop_of(bend=0.2))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_plant_that_is_known_to_be_linear_is_not_called_nonlinear(seed):
+    """The same run, as if it were that of a linear plant."""
+    loop = loop_of(bend=0.2)
+    run = loop.simulate(40.0, seed=seed)
+    finding, known = controllers.diagnose(run, loop), controllers.diagnose(run, loop_of())
+    assert finding.kind == "nonlinear"
+    assert known.kind != "nonlinear"
+    assert "nonlinear" not in known.others
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "more"), [("loss", (1.0, 9.0, 0.5, 0.0), {}), ("onset", (1.0, 9.0, 2.0), {"elsewhere": True})]
+)
+def test_a_linear_plant_has_no_other_operating_point(kind, values, more):
+    model = controllers.LinearModel([[0.9]], [[0.1]], [[1.0]], 1e-4, 0.01, dt=0.1)
+    assert "nonlinearity" in sentence(kind, values, model, **more)
+    assert "nonlinearity" not in sentence(kind, values, model, linear=True, **more)
