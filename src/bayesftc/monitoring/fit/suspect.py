@@ -13,7 +13,7 @@ import numpy as np
 from bayesftc.controllers.diagnosis.scatter import SCATTER, excess, scatter
 from bayesftc.controllers.estimation.innovation import steady_covariance
 from bayesftc.controllers.models.linear import LinearModel
-from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen
+from bayesftc.controllers.switching.fault_modes import DroppedOut, Frozen, Noisier
 from bayesftc.cosim.base.numbers import MAD, short
 from bayesftc.cosim.base.recordings.dates import span_text
 from bayesftc.cosim.base.units import behind
@@ -64,6 +64,12 @@ NO_MOTION = (
     "No larger motion ends this: another kind of [model] may fit, or [[errors]] that these sensors have in common."
 )
 """The advice where sensors agree and more motion does not help."""
+
+LOUDER = (
+    "they have more noise than in the model. If it depends on the quantity, as that of a flow from a differential pressure, "
+    "give them the std that they have there."
+)
+"""What is said of sensors that agree, and of which the noise has grown."""
 
 ELSEWHERE = (Frozen.__name__, DroppedOut.__name__)
 """Kinds of faults that no model of the motion explains."""
@@ -255,11 +261,21 @@ def moved(monitor: Monitor, monitored: Monitored, both: Sequence[Disagreement]) 
     for sensors, (first, *more) in times.items():
         span = span_text(first.start, first.end, monitored.recording.origin)
         alone = {*map(monitored.recording.sensors.index, sensors)} in map(set, model.alike)
-        yield (
-            f"From {span}{f' and {len(more)} more times' if more else ''} {' and '.join(sensors)} agree, but by the model both "
-            f"are probably faulty: the quantity has moved more than the model expects.{f' {SHARED}' if alone else ''} "
+        motion = (
+            f"the quantity has moved more than the model expects.{f' {SHARED}' if alone else ''} "
             f"{_motion_advice(monitor, factor) if factor else NO_MOTION}"
         )
+        yield (
+            f"From {span}{f' and {len(more)} more times' if more else ''} {' and '.join(sensors)} agree, but by the model both "
+            f"are probably faulty: {LOUDER if _louder(monitored, sensors, first) else motion}"
+        )
+
+
+def _louder(monitored: Monitored, sensors: Sequence[str], when: Disagreement) -> bool:
+    """Return whether each of the sensors has alarms in this time, and all of them are of more noise."""
+    events = [each for each in monitored.events if each.start <= when.end and when.start <= each.end]
+    kinds = [{each.kind for each in events if each.sensor == sensor} for sensor in sensors]
+    return all(each == {Noisier.__name__} for each in kinds)
 
 
 def _more_motion(monitor: Monitor, monitored: Monitored, start: float) -> float | None:
