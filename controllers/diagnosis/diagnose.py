@@ -31,11 +31,11 @@ from bayesftc.controllers.diagnosis.candidates import (
     ranked,
 )
 from bayesftc.controllers.diagnosis.explanations import Recording, innovations
-from bayesftc.controllers.diagnosis.healthy_stretches import contradicted
+from bayesftc.controllers.diagnosis.healthy_stretches import WINDOW, contradicted
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, EXPLAINED, Explanation, Judge
 from bayesftc.controllers.diagnosis.operating_point import far_goal
 from bayesftc.controllers.diagnosis.scatter import stated_too_large
-from bayesftc.controllers.diagnosis.slow_sensors import presence_of
+from bayesftc.controllers.diagnosis.slow_sensors import Presence, presence_of
 from bayesftc.controllers.diagnosis.starts import wrong_start
 from bayesftc.controllers.diagnosis.words import faulty_sensors, inferred_fault, moved_at_times, sentence
 from bayesftc.controllers.estimation.observers import observers
@@ -48,6 +48,7 @@ from bayesftc.cosim.base.numbers import short
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.wiring import find_inference, inferring, is_linear
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -270,12 +271,21 @@ def diagnose(
     u = signals[f"{name}.u"] if roles is None else _applied(signals, roles)
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
 
-    def found(samples: Floats, alone: bool = False) -> ModelFinding | None:
+    def found(samples: Floats, each: bool = False, alone: bool = False) -> ModelFinding | None:
+        noise = alone or (each and raised)
         return _finding(
-            model, samples, u, controller.initial_mean, alone=alone, inferred=inferred, units=units, linear=linear
+            model,
+            samples,
+            u,
+            controller.initial_mean,
+            alone=noise,
+            each=each,
+            linear=linear,
+            inferred=inferred,
+            units=units,
         )
 
-    result = found(samples, raised)
+    result = found(samples, alone=raised)
     if nothing := result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
     if result is not None:
@@ -307,14 +317,14 @@ def _of_faults(
     model: LinearModel,
     samples: Floats,
     probability: Floats,
-    found: Callable[[Floats], ModelFinding | None],
+    found: Callable[..., ModelFinding | None],
     words: Callable[..., str],
 ) -> ModelFinding | None:
     """Return the finding without the samples of blamed sensors, where these may be all that is wrong; else None.
 
     `probability` has the fault probability of each sensor, if it was recorded; `words` are those of `faulty_sensors`.
     """
-    blamed = _blamed(probability, samples, together=result.kind in {"unknown", *OF_FAULTS})
+    blamed = _blamed(model, probability, samples, together=result.kind in {"unknown", *OF_FAULTS})
     left = None if blamed is None else _without_blamed(model, samples, blamed, found, words)
     if left is None or (result.kind != "unknown" and left.kind != "sensors"):
         return None
@@ -328,11 +338,12 @@ def _applied(signals: Mapping[str, Any], roles: LoopRoles) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def _blamed(probability: Floats, samples: Floats, *, together: bool) -> NDArray[np.bool_] | None:
+def _blamed(model: LinearModel, probability: Floats, samples: Floats, *, together: bool) -> NDArray[np.bool_] | None:
     """Return which samples the controller blames, if of several sensors, but hardly ever of all; else None.
 
-    One faulty sensor is no evidence against the model, because the others agree with it. Without all there is no evidence at all.
-    Several sensors count if another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
+    One faulty sensor beside others of its quantity is no evidence against the model, because the others agree with it. The only
+    one of its quantity is, because each set needs it. Without all sensors there is no evidence at all. Several sensors count if
+    another one is hardly ever blamed, or, with `together`, also if several are blamed at once.
     `_without_blamed` decides whether they are all that is wrong.
     """
     if not len(probability):
@@ -344,35 +355,66 @@ def _blamed(probability: Floats, samples: Floats, *, together: bool) -> NDArray[
     every = count == blamed.shape[1]
     often = blamed.mean(axis=0) > RARELY
     several = 1 < np.sum(often) < len(often) or (together and np.any((count > 1) & ~every))
-    return blamed if several and np.mean(every) < RARELY else None
+    return blamed if (several or _only(model, blamed) is not None) and np.mean(every) < RARELY else None
+
+
+def _only(model: LinearModel, blamed: NDArray[np.bool_]) -> int | None:
+    """Return the sensor that alone is blamed for long, if no other one measures its quantity."""
+    often = tuple(np.flatnonzero(blamed.mean(axis=0) > RARELY).tolist())
+    return often[0] if len(often) == 1 and often in model.proportional else None
 
 
 def _without_blamed(
     model: LinearModel,
     samples: Floats,
     blamed: NDArray[np.bool_],
-    found: Callable[[Floats], ModelFinding | None],
+    found: Callable[..., ModelFinding | None],
     words: Callable[..., str],
 ) -> ModelFinding | None:
     """Return the finding without the samples of the sensors that are blamed for long, or else of all; None if it is no better.
 
-    Sensors that are blamed for a moment beside one that is blamed for long may be healthy: they are not named.
+    Sensors that are blamed for a moment beside one that is blamed for long may be healthy: they are not named. Without the only
+    sensor of a quantity, all samples of the others must count while it is blamed: else a load that acts then would be hidden.
+    Its own are left out for a `WINDOW` more on both sides: it is blamed only after some faulty samples.
     """
+    only = {} if _only(model, blamed) is None else {"each": True}
+    margin = WINDOW if only else 0
     shares = blamed.mean(axis=0)
     named = np.flatnonzero(shares > OFTEN * shares.max()).tolist()
     for chosen in dict.fromkeys((tuple(named), tuple(np.flatnonzero(shares).tolist()))):
-        trusted = _trusted(model, samples, blamed & np.isin(np.arange(len(shares)), chosen))
-        left = None if trusted is None else found(trusted)
+        trusted = _trusted(model, samples, _wider(blamed, margin) & np.isin(np.arange(len(shares)), chosen))
+        left = None if trusted is None else found(trusted, **only)
         if trusted is not None and left is None:
             count = blamed[:, named].sum(axis=1)
             together = int(np.median(count[count > 0]))
             partner = not any(group == tuple(named) for group in model.alike)
             others = bool(np.count_nonzero(shares) > len(named))
-            said = words(named, together=together, alone=len(chosen) == len(named), partner=partner, others=others)
+            times = _times(model, blamed[:, named[0]]) if only else ()
+            alone = len(chosen) == len(named)
+            said = words(
+                named, together=together, alone=alone, partner=partner, others=others, times=times, names=model.names
+            )
             return ModelFinding("sensors" if len(named) > 1 or not partner else "unknown", said)
         if left is not None and left.kind != "unknown":
             return left
     return None
+
+
+def _times(model: LinearModel, blamed: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return from when to when a sensor is blamed for long, in seconds after the first sample; infinity: to the last one."""
+    found = periods(blamed)
+    least = OFTEN * max(end - begin for begin, end in found)
+    step = float(model.step)
+    return [(begin * step, end * step if end < len(blamed) else np.inf) for begin, end in found if end - begin >= least]
+
+
+def _wider(flags: NDArray[np.bool_], margin: int) -> NDArray[np.bool_]:
+    """Return flags (T x m) that are also true up to `margin` samples before and after each true one."""
+    wider = flags.copy()
+    for j, column in enumerate(flags.T):
+        for begin, end in periods(column):
+            wider[max(begin - margin, 0) : end + margin, j] = True
+    return wider
 
 
 def _trusted(model: LinearModel, samples: Floats, blamed: NDArray[np.bool_]) -> Floats | None:
@@ -473,13 +515,16 @@ def diagnose_inputs(
     row, if known.
     """
 
-    def found(samples: Floats) -> ModelFinding | None:
-        return _finding(model, samples, u, initial_mean, alone=False, recorded=True, first_sample=first_sample)
+    def found(samples: Floats, each: bool = False) -> ModelFinding | None:
+        return _finding(
+            model, samples, u, initial_mean, alone=False, each=each, recorded=True, first_sample=first_sample
+        )
 
     result = found(y)
     if result is None or probability is None:
         return result
-    return _of_faults(result, model, y, probability, found, partial(faulty_sensors, recorded=model.names)) or result
+    words = partial(faulty_sensors, recorded=model.names, first_sample=first_sample)
+    return _of_faults(result, model, y, probability, found, words) or result
 
 
 def _finding(
@@ -489,6 +534,7 @@ def _finding(
     initial_mean: ArrayLike,
     *,
     alone: bool,
+    each: bool = False,
     inferred: Sequence[float] | None = None,
     units: tuple[Sequence[str | None], Sequence[str | None]] = ((), ()),
     recorded: bool = False,
@@ -497,8 +543,9 @@ def _finding(
 ) -> ModelFinding | None:
     """Return the finding of `diagnose_recording`; noise counts where no other kind does only if it may stand `alone`.
 
-    `units` are those of the sensors and of the controls; these may be the `recorded` inputs of a monitor, with the
-    date of their `first_sample`, if known. `linear`: the plant is known to be linear.
+    With `each`, a set has evidence also while only some of its sensors have samples. `units` are those of the sensors and of the
+    controls; these may be the `recorded` inputs of a monitor, with the date of their `first_sample`, if known. `linear`: the
+    plant is known to be linear.
     """
     for kind, values_given, columns in (("sensors", y, model.sensors), ("controls", u, model.controls)):
         if (given := 1 if np.ndim(values_given) == 1 else np.shape(values_given)[-1]) != columns:
@@ -506,7 +553,7 @@ def _finding(
                 f"The recording has {given} {kind}, but the model has {columns}. Give the samples and controls of the sensors "
                 "and actuators in the model."
             )
-    result = best_explanations(model, y, u, initial_mean, alone=alone, linear=linear)
+    result = best_explanations(model, y, u, initial_mean, alone=alone, each=each, linear=linear)
     if not result:
         return None
     best = result[0]
@@ -537,6 +584,7 @@ def best_explanations(
     initial_mean: ArrayLike = 0.0,
     *,
     alone: bool = False,
+    each: bool = False,
     linear: bool = False,
 ) -> list[Explanation]:
     """Return the best explanation of a recording, then those nearly as good; see `_finding` for the arguments."""
@@ -554,11 +602,12 @@ def best_explanations(
     if last < LEAST_SAMPLES:
         return []
     bank, samples = _without(model, bank, samples)
+    seen = sorted({i for chosen in bank.sensors for i in chosen})
     recording = Recording(
         samples[:last],
         controls[:last],
         mean,
-        presence=presence_of(samples[:last], sorted({i for chosen in bank.sensors for i in chosen})),
+        presence=Presence(np.isfinite(samples[:last])) if each else presence_of(samples[:last], seen),
         late=() if delays is None else tuple(late + min(delays.sensors) for late in delays.inputs),
         linear=linear,
     )

@@ -37,6 +37,9 @@ _DISTURBANCE = "disturbance in design and in a scenario; LinearModel.with_distur
 USUAL_STEP = 0.02
 """Longest sample time in seconds for which the size of ``disturbance=True`` is meant."""
 
+MOST_TIMES = 3
+"""Largest number of faults of a sensor of which the sentence has the times."""
+
 AT_TIMES = 0.2
 """Share of the run below which a plant that moves more than its model is said to do so at times."""
 
@@ -183,13 +186,27 @@ def faulty_sensors(
     partner: bool = True,
     others: bool = False,
     recorded: SignalNames | None = None,
+    times: Sequence[tuple[float, float]] = (),
+    names: SignalNames | None = None,
+    first_sample: datetime | None = None,
 ) -> str:
     """Return the sentence about sensors that the controller blames for long, where nothing is found without their samples.
 
     `together`: so many are usually blamed at once. `alone`: samples for which it blames others, for a short time, stay.
     `partner`: another sensor measures the quantity of a single one. `others`: it blames further sensors for a short time.
-    `recorded`: the names in a recording, for a monitor.
+    `recorded`: the names in a recording, for a monitor. `times`: from when to when it alone blames the only sensor of a quantity;
+    `names` are those of the model, and `first_sample` is the date of the first sample, if known.
     """
+    if times:
+        name = "" if names is None else f" ({names.sensors[blamed[0]]})"
+        who = f"Sensor {blamed[0]}{name}" if recorded is None else f"The sensor {recorded.sensors[blamed[0]]}"
+        said = [since(each, first_sample) for each in times]
+        *most, last = said if len(said) <= MOST_TIMES else [*said[:MOST_TIMES], "later"]
+        when = f"{', '.join(most)} and {last}" if most else last
+        return (
+            f"{who}, the only one of its quantity, is probably faulty {when}: it alone is blamed, and without these samples of "
+            "it nothing certain speaks against the model."
+        )
     *most, last = (str(i) if recorded is None else recorded.sensors[i] for i in blamed)
     at_once = "" if together < 2 else " at the same time"
     if 1 < together <= len(most):
