@@ -81,6 +81,9 @@ LASTS = (
 )
 """What may be the cause of other dynamics where the model has no load that lasts."""
 
+STATED = "a larger standard deviation or a shorter time constant in loads"
+"""How a load that the model has is stated as larger or faster."""
+
 UNMOVED = (
     "the quantity moves differently from the model, a sensor follows it late, or the recording has long gaps. Fit the model to a "
     "recording that moves as this one does (bayesftc monitor --fit). If it is fitted to this one, it is too simple for it: trust "
@@ -353,7 +356,22 @@ def _estimate(load: str, model: LinearModel) -> str:
     """Return how the controller is to estimate a load, which depends on whether its model already has a disturbance."""
     if has_loads(model):
         return f"make the disturbance of the model larger ({_DISTURBANCE}), so that its estimate follows {load} sooner"
+    if known := _known_loads(model):
+        return f"give {known} {STATED}; or, if another load acts, estimate it ({_DISTURBANCE})"
     return f"estimate {load} ({_DISTURBANCE})"
+
+
+def _known_loads(model: LinearModel) -> str:
+    """Return the names of the loads that the model has as slow noise, as those of `loads`; nothing if it has none."""
+    names = model.state_names
+    each = [names[i] for i in lagged_loads(model, measured=True)]
+    return f"the load {each[0]}" if len(each) == 1 else f"one of the loads {' and '.join(each)}" if each else ""
+
+
+def _faster(model: LinearModel) -> str:
+    """Return a sentence on the loads that the model has as slow noise; nothing if it has none."""
+    known = _known_loads(model)
+    return f" Or {known} may be larger, or change faster, than the model says: try {STATED}." if known else ""
 
 
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], controlled: bool) -> str:
@@ -419,10 +437,10 @@ def _noise(values: Sequence[float], model: LinearModel, units: Sequence[str | No
     # A number says nothing without the unit of a state that has a name.
     named_state = names[int(state)] if names and not names[0].startswith("x[") else ""
     size = f", about as by a standard deviation of {std:.2g} in each sample of {named_state}" if named_state else ""
+    lasts = " For a load that lasts, noise is not enough: name its input in loads (of design, or of a scenario)."
     return (
         f"the plant is moved more at random than process_covariance says{size}. Say where that noise acts (noise in design and "
-        "in a scenario), or make process_covariance larger. For a load that lasts, noise is not enough: name its input in loads "
-        "(of design, or of a scenario)."
+        f"in a scenario), or make process_covariance larger.{_faster(model) or lasts}"
     )
 
 
@@ -446,8 +464,8 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
     unit = behind(units[load]) if len(units) == model.controls else ""
     std, mean, share = values
     seems = (
-        f" All other process noise seems to have {share**0.5:.2g} times the stated standard deviation: state less only if "
-        "diagnose still says so with the load estimated."
+        f" Beside such a load, the standard deviation of all other process noise seems to be {share**0.5:.2g} times the stated "
+        "one. Leave it as stated until the controller estimates the load."
     )
     less = "" if share == 1.0 else seems
     average = f", on average by {mean:.3g}{unit}" if mean else ""
@@ -465,8 +483,9 @@ def _wandering(load: int, values: Sequence[float], model: LinearModel, units: Se
             f"sample has a variance of about {size}. Of a LinearModel, give with_disturbance a list with this number, and small "
             "positive ones for the other controls.)"
         )
+    estimate = f"{_faster(model).lstrip()} If another load acts, estimate it" if _known_loads(model) else "Estimate it"
     return (
-        f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. Estimate it "
+        f"a load acts, and changes all the time. It has the effect of a change of {named(load, model)}{average}. {estimate} "
         f"{how}{less}"
     )
 
@@ -487,13 +506,18 @@ def _onset(
         they, act, are, come = ("it", "acts", "is", "comes") if len(loads) == 1 else ("they", "act", "are", "come")
         return (
             f"{'a load acts' if len(loads) == 1 else 'one load acts'} {times}. {they.capitalize()} {act} as the state {known} of "
-            f"the model does, but {are} larger, or {come} faster, than the noise of {known} says. Give {known} more noise (noise "
-            "in design and in a scenario; of a LinearModel: process_covariance)."
+            f"the model does, but {are} larger, or {come} faster, than the noise of {known} says. Give {known} more noise (in "
+            f"design and in a scenario: {STATED}, or a larger noise; of a LinearModel: process_covariance)."
         )
     if elsewhere:
         ends = not linear and any(np.isfinite(load[1]) for load in loads)
         far = "If the plant is far from its operating point meanwhile, its nonlinearity may look the same. " * ends
         acts = f"a load acts {times}, " if len(loads) == 1 else f"one load acts {times}; at least one of the two acts "
+        if known := _known_loads(model):
+            return (
+                f"{acts}where no control does. {far}If it is {known} of the model, give it {STATED}. For another load, the plant "
+                "that you design for needs an input where it acts: name it in loads, too."
+            )
         return (
             f"{acts}where no control does. {far}If such "
             "loads belong to normal operation, measure them, or estimate "
@@ -529,7 +553,7 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
     return (
         "the plant moves differently from A and B. Check the masses, inertias, stiffnesses and frictions behind them, and dt; or "
         "identify the model from a recording in which the control also moves at random (LinearModel.identify)."
-        f"{'' if has_loads(model) or lagged_loads(model) else LASTS}"
+        f"{'' if has_loads(model) else _faster(model) or LASTS}"
     )
 
 

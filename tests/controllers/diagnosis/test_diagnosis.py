@@ -1093,6 +1093,18 @@ def test_a_load_that_lasts_may_be_what_looks_like_other_dynamics_if_the_model_ha
     lagged = controllers.LinearModel([[0.9, 0.1], [0.0, 0.999]], [[0.1], [0.0]], [[1.0, 0.0]], 0.01, 0.01, dt=0.1)
     for model, has in ((MODEL, False), (MODEL.with_disturbance(0.1), True), (lagged, True)):
         assert ("A load that lasts" in sentence("dynamics", (), model)) != has
+    known = controllers.LinearModel([[0.9, 0.1], [0.0, 0.999]], [[0.1], [0.0]], [[1.0, 0.2]], 0.01, 0.01, dt=0.1)
+    for model in (lagged, known):  # also if a sensor reads the load, as an accelerometer a force
+        for kind, values in (
+            ("dynamics", ()),
+            ("noise", (0.0, 0.1)),
+            ("noise", (2.0, 0.1, 0.0, 0.01)),
+            ("load", (0.1,)),
+        ):
+            said = sentence(kind, values, model)
+            assert "a larger standard deviation or a shorter time constant in loads" in said
+            assert not re.search("name its input in loads|Estimate it", said)
+        assert "of the model, give it a larger standard" in sentence("onset", (1.0, 2.0, 0.1), model, elsewhere=True)
     assert "A load that lasts" not in sentence("dynamics", (), MODEL, recorded=True)  # a monitor has no loads
 
 
