@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import control
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import schur, solve_sylvester
 
 from bayesftc.cosim.base.html import table
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.control.control_system import allowed
-from bayesftc.cosim.control.loop_parts import Matrices, Parts, loop_parts
+from bayesftc.cosim.control.delays import Matrices, delay_margin, late
+from bayesftc.cosim.control.loop_parts import Parts, loop_parts
 from bayesftc.cosim.control.margins import Margins, margins_of
 from bayesftc.cosim.errors import ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.ports import without_brackets
+from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -94,23 +97,22 @@ class LinearLoop:
         at : str, optional
             Name of the plant's input; needed if there are several controls.
         """
-        opened, j = self._opened, self._number(self.parts.controls, at, "control", "at")
-        others = np.eye(len(self.parts.controls))
-        others[j, j] = 0.0
-        solved = np.linalg.inv(np.eye(len(others)) - opened.D @ others)
-        broken = np.eye(len(others))[:, [j]]
-        C, D = solved @ opened.C, solved @ opened.D @ broken
-        A, B = opened.A + opened.B @ others @ C, opened.B @ (others @ D + broken)
+        j = self._number(self.parts.controls, at, "control", "at")
         name = allowed(self.parts.controls[j])
-        return control.ss(A, B, -C[[j]], -D[[j]], self.dt, inputs=[name], outputs=[f"{name}_returned"])
+        return control.ss(*_broken(self._opened, j), self.dt, inputs=[name], outputs=[f"{name}_returned"])
 
-    def bode(self, at: str | None = None) -> Figure:
+    def bode(self, at: str | None = None, *, omega: ArrayLike | None = None, Hz: bool = False) -> Figure:
         """Return the Bode plot of the loop transfer function with its gain and phase margins.
 
         Parameters
         ----------
         at : str, optional
             Name of the plant's input at which the loop is broken; needed if there are several controls.
+        omega : array_like, optional
+            Frequencies in rad/s, or the lowest and the highest one, as for `control.bode_plot`. By default up to half of the
+            sampling frequency.
+        Hz : bool
+            Whether the axis shows Hz instead of rad/s; `omega` is in rad/s nonetheless.
 
         Returns
         -------
@@ -121,7 +123,8 @@ class LinearLoop:
         from bayesftc.cosim.judging.panels import shown_figure
 
         margins = self.margins(at) if self._is_stable else None
-        return bode_figure(self.open(at), margins, self._title("Loop transfer function", at), shown_figure())
+        title = self._title("Loop transfer function", at)
+        return bode_figure(self.open(at), margins, title, shown_figure(), omega, Hz)
 
     def root_locus(self, at: str | None = None) -> Figure:
         """Return the root locus: the closed loop's poles for a growing gain at the plant's input; crosses mark gain 0.
@@ -156,7 +159,7 @@ class LinearLoop:
         """
         if not self._is_stable:
             raise ModelError(f"{self._unstable()} So it has no margins; see bode() for the loop transfer function.")
-        return margins_of(self.open(at))
+        return margins_of(self.open(at), self._delay_margin(self._number(self.parts.controls, at, "control", "at")))
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles of the closed loop, the largest first: those of plant, control and belief together."""
@@ -244,10 +247,29 @@ class LinearLoop:
         shown = ", ".join(f"{pole:.4g}" for pole in self.poles()[:3])
         return f"The closed loop is not stable: its largest poles are {shown}."
 
+    def _delay_margin(self, j: int) -> float:
+        """Return the delay margin at a control in seconds; its dead time counts as a part of the delay."""
+        parts = self.parts
+        delays = [Fraction(0) if i == j else delay for i, delay in enumerate(parts.delays)]
+        loop = _broken(self._opened_with(late(parts.without_delay, delays, parts.within)), j)
+        n = len(parts.without_delay.A)
+        at_once = loop.B.copy()
+        at_once[:n] -= parts.without_delay.B[:, [j]]
+
+        def reached(part: float) -> Floats:
+            effect = np.zeros(len(loop.A))
+            effect[:n] = parts.within.reached(part)[:, j]
+            return effect
+
+        return self.dt * delay_margin(loop._replace(B=at_once), reached, float(parts.delays[j]))
+
     @property
     def _opened(self) -> Matrices:
         """The loop broken at all controls: from the inputs of the plant to the outputs of the controller."""
-        plant, law, S = self.parts.plant, self.parts.controller, self.parts.sensors
+        return self._opened_with(self.parts.plant)
+
+    def _opened_with(self, plant: Matrices) -> Matrices:
+        law, S = self.parts.controller, self.parts.sensors
         m = len(S)
         By, Dy = law.B[:, :m], law.D[:, :m]
         A = np.block([[plant.A, np.zeros((len(plant.A), len(law.A)))], [By @ S @ plant.C, law.A]])
@@ -284,6 +306,17 @@ class LinearLoop:
 
     def _title(self, what: str, at: str | None) -> str:
         return f"{what}, broken at the plant's input {self.parts.controls[0] if at is None else at}"
+
+
+def _broken(opened: Matrices, j: int) -> Matrices:
+    """Return the loop transfer function at one control, with the other controls connected, for negative feedback."""
+    others = np.eye(len(opened.D))
+    broken = others[:, [j]].copy()
+    others[j, j] = 0.0
+    solved = np.linalg.inv(np.eye(len(others)) - opened.D @ others)
+    C, D = solved @ opened.C, solved @ opened.D @ broken
+    A, B = opened.A + opened.B @ others @ C, opened.B @ (others @ D + broken)
+    return Matrices(A, B, -C[[j]], -D[[j]])
 
 
 def _settling(system: Any) -> Any:

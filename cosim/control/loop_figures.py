@@ -9,12 +9,14 @@ import numpy as np
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from bayesftc.cosim.control.margins import margins_of
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels, plain
 from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
     from bayesftc.cosim.control.margins import Margins
 
@@ -45,7 +47,14 @@ def _frequencies(loop: Any, nyquist: float) -> Any:
     return np.geomspace(max(float(usual[usual > 0].min(initial=least)), least), nyquist, 1000)
 
 
-def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) -> Figure:
+def bode_figure(
+    loop: Any,
+    margins: Margins | None,
+    title: str,
+    figure: Figure,
+    omega: ArrayLike | None = None,
+    Hz: bool = False,
+) -> Figure:
     """Return gain and phase of a loop transfer function over the frequency, with its margins.
 
     Parameters
@@ -58,17 +67,34 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         Title of the figure.
     figure : Figure
         An empty figure to draw on.
+    omega : array_like, optional
+        Frequencies in rad/s, or the lowest and the highest one.
+    Hz : bool
+        Whether the axis shows Hz instead of rad/s.
     """
-    _, axes = make_panels([PANEL, PANEL], figure)
     nyquist = np.pi / float(loop.dt)
+    unit, turn = ("Hz", 2.0 * np.pi) if Hz else ("rad/s", 1.0)
+    frequencies = _frequencies(loop, nyquist) if omega is None else np.asarray(omega, dtype=float)
+    if (
+        frequencies.ndim != 1
+        or len(frequencies) < 2
+        or not 0 < frequencies[0] < frequencies[-1] <= nyquist * (1 + 1e-9)
+    ):
+        raise ModelError(
+            f"omega is {omega!r}. Give frequencies in rad/s that grow, from more than 0 to half of the sampling frequency, "
+            f"{nyquist:.6g} rad/s, or the lowest and the highest one."
+        )
+    if len(frequencies) == 2:
+        frequencies = np.geomspace(frequencies[0], frequencies[-1], 1000)
+    _, axes = make_panels([PANEL, PANEL], figure)
     with np.errstate(divide="ignore"):  # a loop without feedback has a gain of zero
         control.bode_plot(
             loop,
-            _frequencies(loop, nyquist),
+            frequencies,
             ax=np.array(axes)[:, None],
             dB=True,
             deg=True,
-            Hz=False,
+            Hz=Hz,
             grid=False,
             color=BLUE,
             lw=1.3,
@@ -78,13 +104,13 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)
         axis.set_axisbelow(True)
     axes[0].axhline(0.0, color="0.5", lw=0.8)
-    _shift_phase(axes[0].lines[0], axes[1], margins)
+    _shift_phase(axes[0].lines[0], axes[1], margins.gain_crossover / turn if margins else np.nan)
     dotted = ""
     if margins is None:
         texts = ["the closed loop is not stable"]
     else:
         texts = [
-            f"{name} {value} (at {at:.3g} rad/s)" if np.isfinite(at) else f"no {name}: no such crossing"
+            f"{name} {value} (at {at / turn:.3g} {unit})" if np.isfinite(at) else f"no {name}: no such crossing"
             for name, value, at in (
                 (
                     "gain margin",
@@ -100,12 +126,12 @@ def bode_figure(loop: Any, margins: Margins | None, title: str, figure: Figure) 
         ]
         for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):
             if np.isfinite(at) and at > 0.0:
-                axis.axvline(at, color="0.5", lw=0.8, ls=":")
+                axis.axvline(at / turn, color="0.5", lw=0.8, ls=":")
                 dotted = "; dotted: where the margin is read"
     axes[0].set_title(", ".join(texts) + _stable_gains(margins), fontsize=9)
     axes[0].set_ylabel("gain (dB)")
     axes[1].set_ylabel("phase (degrees)")
-    axes[1].set_xlabel(f"frequency (rad/s); dashed: half of the sampling frequency{dotted}")
+    axes[1].set_xlabel(f"frequency ({unit}); dashed: half of the sampling frequency{dotted}")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
 
@@ -124,7 +150,7 @@ def _stable_gains(margins: Margins | None) -> str:
     return f"\nstable while the gain is {factors} times the designed one"
 
 
-def _shift_phase(gain: Any, axis: Any, margins: Margins | None) -> None:
+def _shift_phase(gain: Any, axis: Any, at: float) -> None:
     """Shift the phase by whole turns so that it lies above -360 and up to 0 degrees at the gain crossover, and label -180.
 
     The phase margin is then the distance from the line at -180 degrees. Without a crossover the place counts where the gain is
@@ -133,7 +159,6 @@ def _shift_phase(gain: Any, axis: Any, margins: Margins | None) -> None:
     (line,) = (each for each in axis.lines if len(each.get_xdata()) == len(gain.get_xdata()))
     frequency, phase = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
     known = np.isfinite(phase)
-    at = margins.gain_crossover if margins is not None else np.nan
     if not np.isfinite(at):
         at = frequency[known][np.argmin(np.abs(np.asarray(gain.get_ydata())[known]))]
     turns = np.ceil(np.interp(np.log(at), np.log(frequency[known]), phase[known]) / 360.0 - TINY)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.blocks.linear_system import LinearSystem, held, normalised
 from bayesftc.cosim.blocks.state_space import StateSpace
 from bayesftc.cosim.control.beginning import first_values, listed, start_values, without_effect
+from bayesftc.cosim.control.delays import Held, Matrices, interpolated, late, repeated
 from bayesftc.cosim.control.differences import equations, parted, slopes
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
@@ -38,23 +39,18 @@ NO_INFLUENCE = 1e-7
 """Smaller derivatives by differences count as rounding."""
 
 
-class Matrices(NamedTuple):
-    """A linear system in discrete time."""
-
-    A: Floats
-    B: Floats
-    C: Floats
-    D: Floats
-
-
 @dataclass(frozen=True)
 class Parts:
     """The linear parts of a closed loop, without its faults; all at the sample time of the controller.
 
     Attributes
     ----------
-    plant : Matrices
-        From the controls to the measured signals, with the dead times of the controls.
+    without_delay : Matrices
+        The plant from the controls to the measured signals, without the dead times of the controls.
+    within : Held
+        What the controls do to the plant within a sample.
+    delays : tuple of Fraction
+        Dead times of the controls in samples.
     controller : Matrices
         From ``y`` and the goals, one after the other, to the controls, with the dead times of the samples.
     sensors : ndarray
@@ -67,13 +63,20 @@ class Parts:
         Sample time in seconds.
     """
 
-    plant: Matrices
+    without_delay: Matrices
+    within: Held
+    delays: tuple[Fraction, ...]
     controller: Matrices
     sensors: Floats
     tracked: dict[str, tuple[int, Floats]]
     controls: tuple[str, ...]
     goals: tuple[str, ...]
     step: Fraction
+
+    @property
+    def plant(self) -> Matrices:
+        """The plant with the dead times of the controls, whose last values are further states."""
+        return late(self.without_delay, self.delays, self.within)
 
 
 def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
@@ -112,7 +115,7 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     node, measured = _measured(diagram, sensors)
     driven = _driven(diagram, node, controller)
     step = diagram.step * controller.every
-    linear = (
+    linear, within = (
         _of_system(plant, step, rows)
         if plant is not None
         else _of_block(diagram, node, driven, measured, step, _plant_inputs(diagram, node, driven, controller))
@@ -126,15 +129,16 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     names = tuple(element_name(port, i) for port, i in driven)
     _check_plant(node.name, linear, names)
     law = _law(diagram, controller, sensors, names)
+    delays = [Fraction(0)] * p
     if plant is None:
-        linear = _late(linear, [_samples(diagram, node, *element, step) for element in driven])
-        law = _late(law, [_samples(diagram, controller, y, i, step) for i in range(y.size)])
+        delays = [_dead_time(diagram, node, *element, diagram.step * node.every) / step for element in driven]
+        law = late(law, [_dead_time(diagram, controller, y, i, step) / step for i in range(y.size)])
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
     quantities = find_roles(diagram).quantities
     tracked = {
         each.name: (each.goal, rows[each.sensors[0]]) for each in quantities if each.goal is not None and each.sensors
     }
-    return Parts(linear, law, rows, tracked, names, goals, step)
+    return Parts(linear, within, tuple(delays), law, rows, tracked, names, goals, step)
 
 
 # --- Find the parts --------------------------------------------------------------------------------------------------
@@ -177,15 +181,15 @@ def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:
     return [inputs[j] for j in sorted(inputs)]
 
 
-def _samples(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -> int:
-    """Return the dead time of one element of an input in samples of the controller."""
-    late = dead_time(diagram, node, port, i)
-    if (late / step).denominator != 1:
+def _dead_time(diagram: Diagram, node: Node, port: Port, i: int, step: Fraction) -> Fraction:
+    """Return the dead time of one element of an input, which must be a multiple of the steps at which it is read."""
+    time = dead_time(diagram, node, port, i)
+    if (time / step).denominator != 1:
         raise ModelError(
-            f"{node.name}.{element_name(port, i)} has a dead time of {show(late)} s, which is no multiple of the controller's "
-            f"sample time of {show(step)} s. Round it, or give the plant with its dead time: loop.linear(plant=...)."
+            f"{node.name}.{element_name(port, i)} has a dead time of {show(time)} s, which is no multiple of the sample time of "
+            f"{show(step)} s at which {node.name!r} runs. Round it, or give the plant with its dead time: loop.linear(plant=...)."
         )
-    return int(late / step)
+    return time
 
 
 # --- Linearize the parts ---------------------------------------------------------------------------------------------
@@ -214,7 +218,7 @@ def _of_block(
     measured: Sequence[Element],
     step: Fraction,
     u: Floats,
-) -> Matrices:
+) -> tuple[Matrices, Held]:
     """Return the plant from controls to measured signals, linearized at its start values with the inputs `u`."""
     block: Any = node.block
     plant_step, ports = diagram.step * node.every, _inputs(node)
@@ -223,49 +227,52 @@ def _of_block(
     lines = [outputs.index((port.name, i)) for port, i in measured]
     if isinstance(block, StateSpace) and isinstance(block.system, LinearSystem):
         a, b, c, d = block.system.matrices()
-        if block.system.dt == 0:
-            a, b = held(a, b, float(plant_step))
+        continuous = block.system.dt == 0
     elif isinstance(block, StateSpace):  # its equations, rather than steps of its solver
         x, both = np.array(block.initial, dtype=np.float64), equations(block)
         point = np.concatenate([x, u])
         a, b, c, d = parted(slopes(both, point)[0], len(x))
-        if block.system.dt == 0:
-            a, b = held(a, b, float(plant_step))
+        continuous = block.system.dt == 0
     elif isinstance(block, FMU) and block.kind == "model exchange":
         with ModelEquations(block) as model:
             a, b, c, d = model.jacobians(model.x0, u)
-        a, b = held(a, b, float(plant_step))
+        continuous = True
     else:
         system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
             raise ModelError(_hidden(node, driven, measured, step))
         linear = system.linearize(_settled_state(diagram, node, system, u), u)
         a, b, c, d = linear.A, linear.B, linear.C, linear.D
+        continuous = False
     ratio = step / plant_step
     if ratio.denominator != 1:
         raise ModelError(
             f"The plant {node.name!r} runs every {show(plant_step)} s, slower than its controller ({show(step)} s), so that the "
             "loop is not a linear system with a constant step. Run the controller as often as the plant."
         )
-    a, b = _repeated(a, b, int(ratio))
-    return _moving(Matrices(a, b[:, columns], c[lines], d[np.ix_(lines, columns)]))
+    return _moving(a, b[:, columns], c[lines], d[np.ix_(lines, columns)], float(step), 0 if continuous else int(ratio))
 
 
-def _moving(plant: Matrices) -> Matrices:
-    """Return a plant without numbers that stay constant, such as parameters, and without numbers that nothing reads.
+def _moving(a: Floats, b: Floats, c: Floats, d: Floats, step: float, steps: int) -> tuple[Matrices, Held]:
+    """Return a sampled plant without numbers that stay constant, such as parameters, and without numbers that nothing reads.
 
     An FMU of this package has such numbers among its states: with them the plant has poles at 1 and 0 that are none of it.
     """
-    A, B, C, D = plant
-    while len(A):
-        apart = A - np.diag(np.diag(A))
-        constant = (np.abs(np.diag(A) - 1.0) < CONSTANT) & (apart == 0.0).all(axis=1) & (B == 0.0).all(axis=1)
-        unread = (A == 0.0).all(axis=0) & (C == 0.0).all(axis=0)
-        keep = ~(constant | unread)
-        if keep.all():
+    A, B = repeated(a, b, steps) if steps else held(a, b, step)
+    keep = np.ones(len(A), dtype=bool)
+    while keep.any():
+        matrix = A[np.ix_(keep, keep)]
+        apart = matrix - np.diag(np.diag(matrix))
+        constant = (
+            (np.abs(np.diag(matrix) - 1.0) < CONSTANT) & (apart == 0.0).all(axis=1) & (B[keep] == 0.0).all(axis=1)
+        )
+        unread = (matrix == 0.0).all(axis=0) & (c[:, keep] == 0.0).all(axis=0)
+        if not (constant | unread).any():
             break
-        A, B, C = A[np.ix_(keep, keep)], B[keep], C[:, keep]
-    return Matrices(A, B, C, D)
+        keep[keep] = ~(constant | unread)
+    a, b = a[np.ix_(keep, keep)], b[keep]
+    within = interpolated(a, b, step, steps) if steps else Held(a, b, step)
+    return Matrices(A[np.ix_(keep, keep)], B[keep], c[:, keep], d), within
 
 
 def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction) -> str:
@@ -283,18 +290,6 @@ def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], 
         f"model = bayesftc.controllers.LinearModel.from_fmu(loop[{node.name!r}].block, {given}, dt={show(step)!r})\n"
         "linear = loop.linear(plant=model.to_control())  # then linear.bode(), linear.margins() and so on"
     )
-
-
-def _late(system: Matrices, samples: Sequence[int]) -> Matrices:
-    """Return a system whose first inputs act some samples later: the past inputs are further states."""
-    A, B, C, D = system
-    for j, late in enumerate(samples):
-        for _ in range(late):  # the last input of the chain acts; each new state is put before it
-            n = len(A)
-            A, B = np.block([[A, B[:, [j]]], [np.zeros((1, n + 1))]]), np.vstack([B, np.eye(1, B.shape[1], j)])
-            C, D = np.hstack([C, D[:, [j]]]), D.copy()
-            B[:n, j], D[:, j] = 0.0, 0.0
-    return Matrices(A, B, C, D)
 
 
 def _inputs(node: Node) -> list[Port]:
@@ -341,30 +336,25 @@ def _elements(ports: Iterable[Port]) -> list[tuple[str, int]]:
     return [(port.name, i) for port in ports for i in range(port.size)]
 
 
-def _repeated(a: Floats, b: Floats, times: int) -> tuple[Floats, Floats]:
-    """Return the matrices of several steps with the inputs held."""
-    A, B = a, b
-    for _ in range(times - 1):
-        A, B = a @ A, a @ B + b
-    return A, B
-
-
-def _of_system(system: Any, step: Fraction, rows: Floats) -> Matrices:
+def _of_system(system: Any, step: Fraction, rows: Floats) -> tuple[Matrices, Held]:
     """Return a given linear system for the plant, sampled if it is continuous; its outputs may be the sensors."""
     linear = normalised(system)
     if not isinstance(linear, LinearSystem):
         raise ModelError(f"plant= is {system!r}; it must be a linear system of python-control.")
     a, b, c, d = linear.matrices()
     if linear.dt == 0:
+        within = Held(a, b, float(step))
         a, b = held(a, b, float(step))
     elif linear.dt is not None and linear.dt is not True and rational_step(linear.dt) != step:
         raise ModelError(
             f"plant= has a sample time of {linear.dt:g} s, but the controller runs every {show(step)} s. Use a system with the "
             "sample time of the controller, or in continuous time."
         )
+    else:
+        within = interpolated(a, b, float(step), 1)
     if len(c) == len(rows) != rows.shape[1]:  # the outputs are the sensors, as from `LinearModel.to_control`
         c, d = (np.asarray(np.linalg.lstsq(rows, matrix)[0], float) for matrix in (c, d))
-    return Matrices(a, b, c, d)
+    return Matrices(a, b, c, d), within
 
 
 def _law(diagram: Diagram, node: Node, sensors: Node, names: Sequence[str]) -> Matrices:

@@ -24,6 +24,52 @@ ABOUT = np.concatenate([-np.geomspace(100.0, 0.01, 60), np.geomspace(0.01, 100.0
 """Grid points about a pole, in units of its distance from the unit circle."""
 
 
+class Response:
+    """The frequency response of a system with one output, from the Schur form of its matrix: quick for many frequencies.
+
+    Parameters
+    ----------
+    A, C : ndarray
+        Matrices of the system.
+
+    Attributes
+    ----------
+    A : ndarray
+        The matrix in balanced units, because the states' units must not decide what counts as a pole.
+    poles : ndarray of complex
+        Poles of the system.
+    """
+
+    def __init__(self, A: Floats, C: Floats):
+        from scipy.linalg import schur
+
+        self.A, self._units = balanced(A)
+        if len(A):
+            self._upper, self._basis = schur(self.A, output="complex")
+        else:
+            self._upper = self._basis = np.zeros((0, 0), complex)
+        self.poles = np.diag(self._upper)
+        self._outputs = (C * self._units)[0] @ self._basis
+
+    def inputs(self, B: Floats) -> NDArray[np.complex128]:
+        """Return an input matrix of one column for a product with `columns`."""
+        scaled: NDArray[np.complex128] = self._basis.conj().T @ (np.ravel(B) / self._units)
+        return scaled
+
+    def columns(self, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Return ``C (z I - A)^-1``, a column for each `z`; `product` multiplies them by an input matrix."""
+        found = np.zeros((len(self.poles), len(z)), complex)
+        for i, pole in enumerate(self.poles):
+            found[i] = (self._outputs[i] + product(self._upper[:i, i], found[:i])) / (z - pole)
+        return found
+
+
+def product(row: NDArray[np.complex128], columns: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the product of a row and columns, without the threads of BLAS: with so few numbers each waits for the others."""
+    result: NDArray[np.complex128] = np.einsum("i,ij->j", row, columns)
+    return result
+
+
 class Margins(NamedTuple):
     """Stability margins of a stable loop; infinite or NaN if there is no such crossing.
 
@@ -36,8 +82,11 @@ class Margins(NamedTuple):
         Phase margin in degrees: the smallest change of phase, in either direction, at which the loop is at the limit. It is
         negative if that is a lead; the delay margin then belongs to another crossover.
     delay : float
-        Delay margin in seconds: the shortest additional delay at which the loop is at the limit. NaN if the gain is 1 or more
-        at half of the sampling frequency, because there a delay of a part of a sample has no meaning.
+        Delay margin in seconds: the shortest additional delay of the plant's input at which the loop is at the limit. The control
+        is held from sample to sample, and may change at any time within a sample of the plant. This is exact for a plant in
+        continuous time. A plant in discrete time is interpolated between its samples as if it had been sampled from one in
+        continuous time. If it has a pole near 0 or an oscillation of less than four samples, the effect of its input is assumed
+        to grow linearly within a sample: the margin is then exact for whole samples only.
     gain_crossover, phase_crossover : float
         Frequencies in rad/s of the phase margin, where the gain is 1, and of the gain margin, where the phase is -180 degrees.
     modulus : float
@@ -70,27 +119,26 @@ class Margins(NamedTuple):
         return short(self, phase="deg", delay="s", gain_crossover="rad/s", phase_crossover="rad/s")
 
 
-def margins_of(loop: Any) -> Margins:
+def margins_of(loop: Any, delay: float = np.nan) -> Margins:
     """Return the margins of a loop.
 
     Parameters
     ----------
     loop : control.StateSpace
         The transfer function of a sampled loop with one input and one output, for negative feedback.
+    delay : float
+        Its delay margin in seconds, which depends on the plant between the samples: see `bayesftc.cosim.control.delays`.
     """
     from scipy.optimize import minimize_scalar
 
-    A, units = balanced(loop.A)  # the states' units must not decide what counts as a pole
-    B, C = loop.B / units[:, None], loop.C * units
-    poles = np.linalg.eigvals(A).astype(complex) if len(A) else np.zeros(0, complex)
+    system = Response(loop.A, loop.C)
+    A, poles, inputs = system.A, system.poles, system.inputs(loop.B)
 
     def response(angle: Any) -> Any:
-        z = np.exp(1j * np.atleast_1d(angle))
-        states = np.linalg.solve(z[:, None, None] * np.eye(len(A)) - A, B[None] + 0j)
-        values = (C @ states + loop.D)[:, 0, 0]
+        values = product(inputs, system.columns(np.exp(1j * np.atleast_1d(angle)))) + loop.D[0, 0]
         return values if np.ndim(angle) else complex(values[0])
 
-    grid = _grid(poles)
+    grid = unit_grid(poles)
     values = response(grid)
     # At both ends the response is real, except for rounding.
     ends = [a for a in (0.0, np.pi) if not (np.abs(poles - np.exp(1j * a)) < 1e-9).any() and not _is_pole(A, a)]
@@ -100,9 +148,6 @@ def margins_of(loop: Any) -> Margins:
     unit = _crossings(lambda a: abs(response(a)) - 1.0, grid, np.abs(values) - 1.0)
     lags = [(a, np.angle(-response(a))) for a in unit if a > 0.0]  # a negative lag is a lead
     gain_crossover, phase = min(lags, key=lambda each: abs(each[1]), default=(np.nan, np.inf))
-    delay = min((lag % (2.0 * np.pi) / a for a, lag in lags), default=np.inf)
-    if np.pi not in ends or abs(response(np.pi)) >= 1.0:
-        delay = np.nan
     nearest = int(np.argmin(np.abs(1.0 + values)))
     around = grid[max(nearest - 1, 0)], grid[min(nearest + 1, len(grid) - 1)]
     least = minimize_scalar(lambda a: abs(1.0 + response(a)), bounds=around, method="bounded", options={"xatol": 1e-12})
@@ -110,7 +155,7 @@ def margins_of(loop: Any) -> Margins:
     return Margins(
         float(gain),
         float(np.rad2deg(phase)),
-        float(delay * step),
+        float(delay),
         float(gain_crossover / step),
         float(phase_crossover / step),
         float(min(least.fun, abs(1.0 + values[nearest]), *(abs(1.0 + response(a)) for a in ends), np.inf)),
@@ -124,10 +169,10 @@ def _is_pole(A: Floats, angle: float) -> bool:
     return bool(len(A)) and float(np.linalg.cond(np.exp(1j * angle) * np.eye(len(A)) - A)) > 1e15
 
 
-def _grid(poles: NDArray[np.complex128]) -> Floats:
+def unit_grid(poles: NDArray[np.complex128], number: int = GRID) -> Floats:
     """Return angles from 0 to pi, dense where the transfer function changes fast, and not at poles."""
-    half = GRID // 2
-    points = [np.linspace(np.pi / half, np.pi, half), np.geomspace(1e-7, np.pi / half, half)]
+    half = number // 2
+    points = [np.linspace(np.pi / half, np.pi, half), np.geomspace(1e-7, np.pi, half)]
     for pole in poles[poles.imag >= 0.0]:
         points.append(np.angle(pole) + max(abs(1.0 - abs(pole)), 1e-7) * ABOUT)
     grid = np.unique(np.concatenate(points))

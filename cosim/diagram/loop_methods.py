@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from bayesftc.cosim.control.linear_loop import LinearLoop, Margins
 
@@ -54,15 +54,19 @@ class LoopMethods:
 
         return linear_loop(self, plant)
 
-    def bode(self, at: str | None = None) -> Figure:
+    def bode(self, at: str | None = None, *, omega: ArrayLike | None = None, Hz: bool = False) -> Figure:
         """Return the Bode plot of the loop transfer function, with its margins; see `LinearLoop.bode`.
 
         Parameters
         ----------
         at : str, optional
             Name of the plant's input at which the loop is broken; needed if there are several controls.
+        omega : array_like, optional
+            Frequencies in rad/s, or the lowest and the highest one.
+        Hz : bool
+            Whether the axis shows Hz instead of rad/s.
         """
-        return self.linear().bode(at)
+        return self.linear().bode(at, omega=omega, Hz=Hz)
 
     def root_locus(self, at: str | None = None) -> Figure:
         """Return the root locus over the gain at the plant's input; see `LinearLoop.root_locus`.

@@ -148,6 +148,9 @@ def test_the_fmu_of_a_plant_has_the_margins_of_the_plant(tmp_path):
     ]
     block, exported = (loop.margins() for loop in loops)
     assert 0.1 < block.lowest_gain < 0.9  # an unstable plant needs a gain
-    np.testing.assert_allclose(exported, block, rtol=1e-6)
+    np.testing.assert_allclose(exported._replace(delay=0.0), block._replace(delay=0.0), rtol=1e-6)
+    assert exported.delay == pytest.approx(
+        block.delay, rel=1e-3
+    )  # its copies of outputs hide what it does within a sample
     poles = loops[1].poles()
     np.testing.assert_allclose(poles[np.abs(poles) > 1e-6], loops[0].poles(), rtol=1e-6)

