@@ -20,7 +20,7 @@ from bayesftc.cosim.control.margins import Response, product, unit_grid
 from bayesftc.cosim.types import Floats
 
 LEAST_POLE, MOST_ANGLE = 1e-3, np.pi / 2
-"""A plant in discrete time is interpolated if its poles have at least this size and at most this angle.
+"""A plant in discrete time is interpolated, except for poles smaller than this, if no other pole has a larger angle than this.
 
 A smaller pole may be a delay, which has no logarithm. A larger angle may be an even faster mode that was sampled too seldom.
 """
@@ -96,18 +96,31 @@ def interpolated(A: Floats, B: Floats, step: float, steps: int) -> Held:
     steps : int
         Steps of the plant in each sample.
     """
-    from scipy.linalg import expm, logm
+    from scipy.linalg import expm, logm, schur, solve_sylvester
 
-    n, poles = len(A), np.linalg.eigvals(A) if len(A) else np.zeros(0)
     given = Held(A, B, step, steps)
-    if not n or np.abs(poles).min() < LEAST_POLE or np.abs(np.angle(poles)).max() > MOST_ANGLE:
+    same, units = balanced(A)
+    upper, basis, n = (
+        schur(same, sort=lambda real, imaginary: np.hypot(real, imaginary) >= LEAST_POLE) if len(A) else (A, A, 0)
+    )
+    slow, fast = upper[:n, :n], upper[n:, n:]
+    if not n or np.abs(np.angle(np.linalg.eigvals(slow))).max() > MOST_ANGLE:
         return given
-    both, units = balanced(np.block([[A, B], [np.zeros((B.shape[1], n)), np.eye(B.shape[1])]]))
-    rates = logm(both)
-    if np.iscomplexobj(rates) or not np.allclose(expm(rates), both, rtol=0.0, atol=1e-9 * np.abs(both).max()):
+    # Other coordinates decouple the states with poles at zero, whose effect grows linearly within a sample.
+    other = np.eye(len(A))
+    other[:n, n:] = solve_sylvester(slow, -fast, -upper[:n, n:])
+    basis = units[:, None] * basis @ other
+    inputs: Any = np.linalg.solve(basis, B)
+    m = B.shape[1]
+    both = np.block([[slow, inputs[:n]], [np.zeros((m, n)), np.eye(m)]])
+    scaled, scales = balanced(both)
+    rates = logm(scaled)
+    if np.iscomplexobj(rates) or not np.allclose(expm(rates), scaled, rtol=0.0, atol=1e-9 * np.abs(scaled).max()):
         return given
-    rates = rates * (units[:, None] / units) * (steps / step)
-    return Held(rates[:n, :n], rates[:n, n:], step)
+    rates = rates * (scales[:, None] / scales) * steps
+    a, b = np.zeros_like(A), np.vstack([rates[:n, n:], repeated(fast, inputs[n:], steps)[1]])
+    a[:n, :n] = rates[:n, :n]
+    return Held(basis @ a @ np.linalg.inv(basis) / step, basis @ b / step, step)
 
 
 def repeated(a: Floats, b: Floats, times: int) -> tuple[Floats, Floats]:

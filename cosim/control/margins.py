@@ -85,8 +85,8 @@ class Margins(NamedTuple):
         Delay margin in seconds: the shortest additional delay of the plant's input at which the loop is at the limit. The control
         is held from sample to sample, and may change at any time within a sample of the plant. This is exact for a plant in
         continuous time. A plant in discrete time is interpolated between its samples as if it had been sampled from one in
-        continuous time. If it has a pole near 0 or an oscillation of less than four samples, the effect of its input is assumed
-        to grow linearly within a sample: the margin is then exact for whole samples only.
+        continuous time. With a pole near 0, such as a delay among its states, or an oscillation of less than four samples, this
+        is an approximation, exact for whole samples only.
     gain_crossover, phase_crossover : float
         Frequencies in rad/s of the phase margin, where the gain is 1, and of the gain margin, where the phase is -180 degrees.
     modulus : float

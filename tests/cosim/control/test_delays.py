@@ -160,8 +160,9 @@ def test_a_plant_in_discrete_time_has_the_margin_of_the_one_that_was_sampled(con
     limit = servo(controller).margins().delay
     assert servo(controller, block).margins().delay == pytest.approx(limit, rel=1e-6)
     assert servo(controller).linear(plant=sampled).margins().delay == pytest.approx(limit, rel=1e-6)
-    # A pole at zero hides what the plant does within a sample.
-    assert servo(controller).linear(plant=delayed(0.0)).margins().delay == pytest.approx(limit, rel=0.5)
+    # A pole at zero is a delay, which has no effect of its own within a sample.
+    assert servo(controller).linear(plant=delayed(0.0)).margins().delay == pytest.approx(limit, rel=1e-6)
+    assert servo(controller).linear(plant=delayed(T / 5)).margins().delay == pytest.approx(limit - T / 5, rel=0.01)
 
 
 def slower(delay, every=2):
