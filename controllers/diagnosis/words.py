@@ -66,6 +66,15 @@ SEVERAL = (
 )
 """What to try before offsets of several quantities are believed."""
 
+TOGETHER = (
+    "All sensors of a quantity are rarely wrong together: a load that acts where no control does, or an error of A between the "
+    "quantities, as of a stiffness, looks the same. Look at both first (docs/how-to/constant-disturbances.md). If they are "
+    "offsets, s"
+)
+"""The same for one quantity of several."""
+COUPLED = " An error of A between the quantities, as of a stiffness, may look the same."
+"""What is said of the offset of the only sensor of one quantity of several."""
+
 ELSEWHERE = (
     "All sensors of several quantities are rarely wrong together: a load that acts elsewhere than the control, or a plant with "
     "other gains, looks the same. Look at both first (docs/how-to/constant-disturbances.md). If they are offsets, s"
@@ -380,14 +389,16 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     stds = {i: float(f"{PRIOR * max(abs(values[j]) for j in group):.1g}") for group in groups for i in group}
     std = f"{stds[sensors[0]]:g}" if len(groups) == 1 else [stds[i] for i in sensors]
     each = " and ".join(_offset_of(group, values, model, units) for group in groups)
+    one = len(groups) == 1 < len(model.alike) and controlled
     if _unequal(values, model):
         doubt = DIFFERENT
     elif len(groups) > 1 and controlled:
         doubt = ELSEWHERE if has_loads(model) else SEVERAL
+    elif one and len(groups[0]) > 1:
+        doubt = TOGETHER
     else:
         doubt = "S"
-    one = len(groups) == 1 < len(model.alike) and controlled
-    coupled = " An error of A between the quantities, as of a stiffness, may look the same." if one else ""
+    coupled = COUPLED if one and doubt == "S" else ""
     return (
         f"{each}. {doubt}ubtract them from the readings, or estimate them: LinearModel.with_sensor_errors(std={std}, "
         f"time_constant=1e5, sensors={sensors}), or [[errors]] in a monitor's model file.{coupled}"

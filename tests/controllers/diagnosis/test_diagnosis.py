@@ -177,6 +177,9 @@ def test_offsets_of_several_quantities_are_doubted():
     both, one = sentence("offset", (1.0, 1.0, 2.0, 2.0), model), sentence("offset", (1.0, 1.0, 0.0, 0.0), model)
     assert "Try disturbance=True in design first." in both
     assert "Try disturbance" not in one
+    load, first = "a load that acts where no control does", "If they are offsets, subtract them"
+    assert one.index(load) < one.index(first)  # three healthy transmitters were to be corrected
+    assert load not in sentence("offset", (1.0, 1.0, 0.0, 0.0), model, recorded=True)
     assert "Try disturbance" not in sentence(
         "offset", (1.0, 1.0, 2.0, 2.0), model, recorded=True
     )  # a monitor has no design

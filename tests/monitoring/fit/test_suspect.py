@@ -1,6 +1,7 @@
 """A wrong model, which makes a monitor blame healthy sensors, is told from sensors that have failed."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from bayesftc.controllers.bayesian import recorded
 from bayesftc.controllers.diagnosis.scatter import scatter
 from bayesftc.monitoring import (
     ConstantRate,
+    FaultEvent,
     Matrices,
     Monitor,
     RandomWalk,
@@ -275,6 +277,20 @@ def moving(step, drift=0.0):
     t, rng = np.arange(1000.0), np.random.default_rng(0)
     level = 20.0 + step * ((t > 0) + 0.16 * (t > 1) - 0.57 * (1.0 - np.exp(-t / 60.0)))
     return level[:, None] + 0.1 * rng.standard_normal((1000, 2)) - np.outer(np.maximum(t - 500.0, 0.0), [0.0, drift])
+
+
+def test_two_sensors_that_agree_and_are_both_noisier_have_not_seen_motion():
+    """Of flows from differential pressures, noisier at low flow: a motion 30 times as large was to end it, and did not."""
+    monitor, monitored = watched(moving(4.4), RandomWalk(std=0.1), joint=True)
+    (when,) = suspect.both_blamed(monitor, monitored)
+    louder = [FaultEvent(name, when.start, when.end, 0.99, kind="Noisier", size=2.0) for name in when.sensors]
+    for events, said in (
+        (louder, "they have more noise than in the model"),
+        (louder[:1], "the quantity has moved"),
+        ([*louder, replace(louder[0], kind="Offset")], "the quantity has moved"),
+    ):
+        (sentence,) = suspect.moved(monitor, replace(monitored, events=tuple(events)), [when])
+        assert said in sentence
 
 
 def test_two_sensors_that_agree_while_the_quantity_moves_are_not_open():
