@@ -110,6 +110,7 @@ def test_a_loop_of_linear_systems_is_linear():
     assert not is_linear(loop_of(bend=0.2))
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(2))
 def test_a_plant_that_is_known_to_be_linear_is_not_called_nonlinear(seed):
     """The same run, as if it were that of a linear plant."""

@@ -37,6 +37,7 @@ def run(plant, faults=(), seed=1):
     return loop.simulate(12.0, seed=seed), loop
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("fault", "end"),
     [
@@ -57,6 +58,7 @@ def test_the_fault_of_an_only_sensor_is_named_first_with_its_times(fault, end):
     assert "With all samples, as if no sensor had failed: " in finding.sentence
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("rate", [0.8, 1.3])
 def test_a_wrong_model_under_which_an_only_sensor_alone_is_blamed_is_found(rate):
     result, loop = run(wheel(rate))

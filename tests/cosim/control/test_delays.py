@@ -71,6 +71,7 @@ def random_loops(seed, count):
             yield plant, law, start
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("kind", ["continuous", "in steps"])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_delay_margin_is_the_first_delay_that_moves_a_pole_out_of_the_unit_circle(seed, kind):
