@@ -99,7 +99,10 @@ def bode_figure(
             color=BLUE,
             lw=1.3,
         )
+    low, high = frequencies[[0, -1]]
     for axis in axes:
+        if omega is not None:  # else python-control draws half of the sampling frequency, however far away
+            axis.set_xlim(low / turn, high / turn)
         axis.grid(visible=True, which="major", color="0.85", lw=0.6)
         axis.grid(visible=True, which="minor", axis="x", color="0.93", lw=0.4)
         axis.set_axisbelow(True)
@@ -125,13 +128,14 @@ def bode_figure(
             )
         ]
         for axis, at in zip(axes, (margins.phase_crossover, margins.gain_crossover), strict=True):
-            if np.isfinite(at) and at > 0.0:
+            if np.isfinite(at) and low <= at <= high:
                 axis.axvline(at / turn, color="0.5", lw=0.8, ls=":")
                 dotted = "; dotted: where the margin is read"
     axes[0].set_title(", ".join(texts) + _stable_gains(margins), fontsize=9)
     axes[0].set_ylabel("gain (dB)")
     axes[1].set_ylabel("phase (degrees)")
-    axes[1].set_xlabel(f"frequency ({unit}); dashed: half of the sampling frequency{dotted}")
+    dashed = "; dashed: half of the sampling frequency" if high >= nyquist * (1 - 1e-9) else ""
+    axes[1].set_xlabel(f"frequency ({unit}){dashed}{dotted}")
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure
 
