@@ -8,7 +8,8 @@ The innovation r, in the sensor's nominal standard deviations, is explained by t
 
 Coefficients and noise have a normal-gamma distribution. Its natural parameters decay towards those of the prior (stabilised
 exponential forgetting; Kulhavy and Zarrop 1993). The noise may therefore be of any scale: a sensor that is too quiet is as
-suspicious as a noisy one. A sample's density is Student's t (Bishop 2006, exercise 3.13).
+suspicious as a noisy one, unless the process is quiet (``calm.py``). A sample's density is Student's t (Bishop 2006,
+exercise 3.13).
 """
 
 from bayesftc.controllers.linalg.special import LOG_2_PI, squared_gamma_half_step

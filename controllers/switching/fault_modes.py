@@ -500,7 +500,7 @@ class Unmodelled(FaultMode):
     @property
     def first(self) -> tuple[float, ...]:
         """See `FaultMode.first`."""
-        return 0.0, self.scale, *[0.0] * (COURSE + COURSE_SCRATCH)
+        return 0.0, self.scale, *[0.0] * (COURSE + COURSE_SCRATCH + 1), 1.0
 
     def settings(self, model: LinearModel, sensor: int) -> tuple[float, ...]:
         """See `FaultMode.settings`."""

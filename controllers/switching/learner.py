@@ -124,7 +124,7 @@ class SwitchingPrecision(PrecisionLearner):
         that share.
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
-        is faster, but detects slow drifts later.
+        is faster, but detects slow drifts later, and has more false alarms where the process noise is stated too large.
     actuator_modes : sequence of ActuatorMode
         The fault modes of each actuator and of the process, such as ``[InputOffset(), LostEffect()]``: instances of classes in
         `ACTUATOR_MODES`, or of your own. They belong to the joint form. With them there are, for each actuator, the outputs
@@ -342,7 +342,10 @@ class SwitchingPrecision(PrecisionLearner):
         process_modes = self._acting(model)
         outages = self.outages and m > 1
         layout = self._layout(model, width, settings_width, process_modes, outages)
-        learn, report = learner_functions(evidence, single, self._faults, width, settings_width, layout, outages)
+        redundant = tuple(int(model.quantity.count(quantity) > 1) for quantity in model.quantity)
+        learn, report = learner_functions(
+            evidence, single, self._faults, width, settings_width, layout, outages, redundant
+        )
         kinds = self.fault_kinds
         ports = [port("mode_probability", (m, 1 + len(kinds)), elements=["healthy", *kinds] * m)]
         ports += [
@@ -351,7 +354,7 @@ class SwitchingPrecision(PrecisionLearner):
         ]
         ports.append(port("log_density"))
         if layout is None:
-            memory += [0.0, 0.0, *([0.0, 0.0] if outages else [])]
+            memory += [0.0, 0.0, *[1.0] * m, *([0.0, 0.0] if outages else [])]
             return Learner(learn, np.array(memory), np.array([*settings, step]), 1, tuple(ports), report)
         if layout.actuator_modes:
             kinds, p = tuple(type(mode).__name__ for mode in self.actuator_modes), layout.p

@@ -5,12 +5,17 @@ log density, which counts only if there is a sample. The `FACTOR` that it writes
 """
 
 from bayesftc.controllers.linalg.special import LOG_2_PI, squared_gamma_half_step
-from bayesftc.controllers.switching.course import COURSE, follow, misfit
+from bayesftc.controllers.switching.calm import credited, followed
+from bayesftc.controllers.switching.course import COURSE, COURSE_SCRATCH, follow, misfit
 from bayesftc.cosim.ops import absolute, log, maximum, minimum, select, sqrt
 
 WEIGHT, ENTERED, FACTOR, AGE, TRUST, SIZE, OWN = range(7)
 """Places in the block of a mode: two for the switching; a factor of the density, 1 unless it is written, because a root is faster
 than its logarithm; the age; the precision of the sample (nominal: 1); the size; further numbers of the mode."""
+
+LAST_ERRORS = OWN + COURSE + COURSE_SCRATCH
+SURPRISE = LAST_ERRORS + 1
+"""Places in the block of `regresses`: the mean of the sensor's last squared errors, and of all sensors' squared innovations."""
 
 FURTHEST = 1e12
 """Largest squared innovation for a density, in units of its variance; larger ones are limited to it."""
@@ -153,7 +158,10 @@ def scatters(e, present, variance, nominal, change, healthy, memory, at, setting
 
 
 def regresses(e, present, variance, nominal, change, healthy, memory, at, settings, first):
-    """Follow an unmodelled course, which is learned (``course.py``). Own numbers: the course's, and scratch space."""
+    """Follow an unmodelled course, which is learned (``course.py``), with the rule for a quiet process (``calm.py``).
+
+    Own numbers: the course's, scratch space, `LAST_ERRORS`; the learner writes `SURPRISE`.
+    """
     deviation, start = sqrt(nominal), at + OWN
     logp = follow(
         e / deviation,
@@ -168,4 +176,7 @@ def regresses(e, present, variance, nominal, change, healthy, memory, at, settin
         0.0,
     )
     memory[at + SIZE] = misfit(memory, start)
-    return select(change == change, logp - log(deviation), healthy)
+    last = followed(memory[at + LAST_ERRORS], e * e, variance, present)
+    memory[at + LAST_ERRORS] = last
+    logp = credited(logp - log(deviation), healthy, memory[at + SURPRISE], last)
+    return select(change == change, logp, healthy)

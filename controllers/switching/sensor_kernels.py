@@ -14,7 +14,8 @@ The state of a sensor is in ``memory`` from ``at`` on:
 - From `FIRST` on a block for each mode: its probability (`WEIGHT`), the share of it that has just begun (`ENTERED`), its mean
   `AGE` in samples, and the mode's own numbers (``mode_kernels.py``).
 
-After all sensors follow the number of samples and the log density of the last ones. A bank's hypotheses keep a sensor in the same
+After all sensors follow the number of samples, the log density of the last ones and, in the per-sensor form, the mean squared
+innovation of each sensor (``calm.py``). A bank's hypotheses keep a sensor in the same
 form; noise and repetitions belong to the sensor, not to a hypothesis.
 
 The settings of a sensor are from ``row`` on:

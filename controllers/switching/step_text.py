@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from bayesftc.controllers.precision.base import keep_nominal, report_nothing
-from bayesftc.controllers.switching import mode_kernels, sensor_kernels as kernels
+from bayesftc.controllers.switching import calm, mode_kernels, sensor_kernels as kernels
 from bayesftc.controllers.switching.bank.layout import Layout
 from bayesftc.controllers.switching.bank.samples import report_actuators, report_process
 from bayesftc.controllers.switching.outages import make_outage, prolonged
@@ -61,6 +61,11 @@ logp{k} = select(step > 0.0, as_coarse(logp, sound, e, variance, step), logp{k})
 _LEARN = """
 logp = 0.0 * sample.nominal[0, 0]
 {outage}
+surprise, weighed, weights = sample.y.shape[0] * LENGTH + 2, 0.0 * logp, 0.0 * logp
+for i in range(sample.y.shape[0]):
+    share = sample.spread[i, i] / (sample.spread[i, i] + sample.nominal[i, i] * memory[i * LENGTH + NOISE])
+    weighed = weighed + share * memory[surprise + i]
+    weights = weights + share
 for i in range(sample.y.shape[0]):
     at, row = i * LENGTH, i * SETTINGS
     noise = sample.nominal[i, i] * memory[at + NOISE]
@@ -68,12 +73,25 @@ for i in range(sample.y.shape[0]):
     pass_time(memory, at, settings, row)
     change = sample.y[i] - memory[at + LAST]
     error = held(sample.e[i], variance)
+    own = REDUNDANT[i] * sample.spread[i, i] / variance
+    quiet = maximum(weighed - own * memory[surprise + i], LEAST) / maximum(weights - own, LEAST)
+{calm}
     repeats = repetition(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
     step = indifferent(change, sample.nominal[i, i], 1.0, memory, at, settings, row)
     frozen = select(step > 0.0, 1.0 / at_rest(step, sample.nominal[i, i], memory, at, settings, row), repeats)
     doubt = 0.5 / memory[at + NOISE_SHAPE]
     logp = logp + weigh(error, {present}, variance, noise, doubt, change, frozen, step, memory, at, settings, row)
     logp = logp + log(memory[at + DENSITY] / repeats)
+    memory[surprise + i] = surprised(
+        memory[surprise + i],
+        error * error,
+        variance,
+        sample.spread[i, i],
+        sample.nominal[i, i],
+        sample.present[i],
+        memory[at + HEALTHY],
+        memory[sample.y.shape[0] * LENGTH],
+    )
     part = noise / variance
     squared = part * (part * error * error + sample.spread[i, i])
     counts = sample.present[i] * memory[at + HEALTHY]{counts}
@@ -88,7 +106,7 @@ memory[sample.y.shape[0] * LENGTH + 1] = logp
 """
 
 _OUTAGE = """\
-at = sample.y.shape[0] * LENGTH + 2
+at = sample.y.shape[0] * (LENGTH + 1) + 2
 outage = prolonged(is_outage(sample, memory, settings), sample, memory, at)\
 """
 
@@ -186,6 +204,7 @@ def learner_functions(
     settings: int,
     layout: Layout | None,
     outages: bool,
+    redundant: tuple[int, ...],
 ) -> tuple[Callable[..., None], Callable[..., None]]:
     """Return the learning and the reporting step function of the per-sensor form for these modes.
 
@@ -197,12 +216,16 @@ def learner_functions(
         Whether each mode is a fault (1 or 0).
     layout : Layout or None
         Layout of the joint form's bank, if there is one, for the reports of actuators and process.
+    redundant : tuple of int
+        Whether another sensor measures the same quantity, for each sensor (1 or 0). Then only the others' innovations can tell
+        that the process is quiet, for this one may be filtered. Beside an only sensor all innovations can.
     """
     modes = len(evidence)
     pass_time, weigh = sensor_functions(evidence, chosen, width, settings, outages)
     names = _names(evidence) | {
         "MODES": modes,
         "FAULTS": faults,
+        "REDUNDANT": redundant,
         "WIDTH": width,
         "pass_time": pass_time,
         "weigh": weigh,
@@ -216,6 +239,11 @@ def learner_functions(
         outage=_OUTAGE if outages else "",
         present="select(outage > 0.5, -1.0, sample.present[i])" if outages else "sample.present[i]",
         counts=" * (1.0 - outage)" if outages else "",
+        calm="\n".join(
+            f"    memory[at + {kernels.FIRST + k * width + mode_kernels.SURPRISE}] = quiet"
+            for k in chosen
+            if evidence[k] is mode_kernels.regresses
+        ),
     )
     learn = _function("learn_switching", argument_names(keep_nominal), learning, names)
     report = _REPORT
@@ -242,7 +270,7 @@ def learner_functions(
 
 def _names(evidence: Evidence) -> dict[str, Any]:
     """Return the global names of the text."""
-    functions = {name: value for of in (mode_kernels, kernels, ops) for name, value in vars(of).items()}
+    functions = {name: value for of in (calm, mode_kernels, kernels, ops) for name, value in vars(of).items()}
     evidence_functions = {f"mode{k}": function for k, function in enumerate(evidence)}
     return (
         {name: value for name, value in functions.items() if not name.startswith("__")}
