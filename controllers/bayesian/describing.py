@@ -143,7 +143,10 @@ def learner_lines(controller: BayesianController) -> list[str]:
         times = ", ".join(
             f"{name} {m.time_to_fault:.6g} / {m.time_to_recovery:.6g}" for name, m in zip(modes, used, strict=True)
         )
-        lines.append(f"Their mean times in seconds, until a fault begins / until it ends: {times}.")
+        lines.append(
+            "Before any sample the learner assumes these mean times in seconds, until a fault begins / until it ends: "
+            f"{times}. Times that you did not give are defaults for this sample time."
+        )
     if controller.actuator_kinds:
         lines.append(f"Actuator faults that are distinguished: {', '.join(controller.actuator_kinds)}.")
     if precision.why_no_probability:

@@ -157,7 +157,8 @@ def test_settings_faults_names_and_limits_are_named():
     assert "loss=0.02" in text
     assert "Sensor faults that are distinguished: Offset." in text
     assert (
-        "in seconds, until a fault begins / until it ends: Offset 750 / 50." in text
+        "assumes these mean times in seconds, until a fault begins / until it ends: Offset 750 / 50. Times that you"
+        in text
     )  # at 0.1 s, five times the default
     assert "Actuator faults that are distinguished: LostEffect." in text
     assert "limits of the control: -2 to 3" in text
