@@ -24,12 +24,13 @@ SIZES = ((1, 2), (2, 3), (5, 5), (10, 10), (20, 20))
 """Numbers of states and sensors."""
 
 LEARNERS = (
-    *(("fixed", m) for m in (2, 8)),
-    *(("gamma", m) for m in (2, 8)),
-    *(("switching, joint=False", m) for m in (2, 8)),
-    *(("switching", m) for m in (2, 3, 4, 6, 8)),
+    *(("fixed", 1, m) for m in (2, 8)),
+    *(("gamma", 1, m) for m in (2, 8)),
+    *(("switching, joint=False", 1, m) for m in (2, 8)),
+    *(("switching", 1, m) for m in (2, 3, 4, 6, 8)),
+    *((name, 6, 3) for name in ("fixed", "switching, joint=False", "switching")),
 )
-"""Learners with numbers of sensors of the car's speed: the hypotheses of the last one grow with them."""
+"""Learners with numbers of states and sensors: the hypotheses of the last learner grow with the sensors, each with the states."""
 
 SAMPLES = 1024
 NO_SIZE = "The program 'size' of the binutils was not found."
@@ -124,8 +125,8 @@ def measure(quick: bool = False) -> Section:
         figures = _speed(Path(folder), steps, rounds)
         for states, sensors in SIZES[:2] if quick else SIZES:
             figures += _size(Path(folder) / f"{states}x{sensors}", states, sensors)
-        for i, (name, sensors) in enumerate(LEARNERS[:1] if quick else LEARNERS):
-            figures += _learner(Path(folder) / str(i), name, sensors, steps // 10)
+        for i, (name, states, sensors) in enumerate(LEARNERS[:1] if quick else LEARNERS):
+            figures += _learner(Path(folder) / str(i), name, states, sensors, steps // 10)
     return Section("export", title, tuple(figures))
 
 
@@ -193,8 +194,8 @@ def _size(folder: Path, states: int, sensors: int) -> list[Figure]:
     return figures
 
 
-def _learner(folder: Path, name: str, sensors: int, steps: int) -> list[Figure]:
-    """Return size and time of the car's controller with a learner and so many sensors."""
+def _learner(folder: Path, name: str, states: int, sensors: int, steps: int) -> list[Figure]:
+    """Return size and time of a controller with a learner, so many states and sensors."""
     from bayesftc import controllers
 
     learners: dict[str, PrecisionLearner] = {
@@ -204,10 +205,10 @@ def _learner(folder: Path, name: str, sensors: int, steps: int) -> list[Figure]:
         "switching": controllers.SwitchingPrecision(),
     }
     folder.mkdir()
-    _written(folder, controller_of(1, sensors, learners[name]))
+    _written(folder, controller_of(states, sensors, learners[name]))
     run = _loop(folder)
     rng = np.random.default_rng(sensors)
-    samples = SETTING.start_speed + 0.1 * rng.normal(size=(SAMPLES, sensors))
+    samples = (SETTING.start_speed if states == 1 else 0.0) + 0.1 * rng.normal(size=(SAMPLES, sensors))
     started = time.process_time()
     run(ctypes.c_long(steps), ctypes.c_void_p(samples.ctypes.data))
     taken = (time.process_time() - started) / steps
@@ -215,6 +216,8 @@ def _learner(folder: Path, name: str, sensors: int, steps: int) -> list[Figure]:
     _, memory, reason = _counted(folder)
     flash = _flash(folder / "small.o")
     title, key = f"{name}, {sensors} sensors", f"{name}_{sensors}"
+    if states > 1:
+        title, key = f"{name}, {states} states, {sensors} sensors", f"{name}_{states}x{sensors}"
     return [
         Figure(f"flash_{key}", f"{title}: flash (-Os)", "bytes", flash, reason=None if flash else NO_SIZE),
         Figure(f"memory_{key}", f"{title}: RAM, inputs and outputs too", "bytes", memory, reason=reason),
