@@ -124,7 +124,8 @@ class SwitchingPrecision(PrecisionLearner):
         that share.
     joint : bool
         Whether offsets are estimated together with the state, and the state without an `Unmodelled` sensor. The per-sensor form
-        is faster, but detects slow drifts later, and has more false alarms where the process noise is stated too large.
+        is faster, but detects slow drifts later, has more false alarms where the process noise is stated too large, and follows
+        an offset of the only sensor of a quantity.
     actuator_modes : sequence of ActuatorMode
         The fault modes of each actuator and of the process, such as ``[InputOffset(), LostEffect()]``: instances of classes in
         `ACTUATOR_MODES`, or of your own. They belong to the joint form. With them there are, for each actuator, the outputs
