@@ -275,8 +275,9 @@ class Judge:
         theta, spreads, costs = self._fit(effects)
         values = (*(1.0 + theta), *(spreads * np.sqrt(costs[1].max())))
         (together,) = self.of("gains", [tuple(map(float, values))], costs, len(theta))
+        reversed_ = (theta + SURELY * np.array(values[len(theta) :]) < -1.0).any()
         ahead = together.total - best.total + 0.5 * more * np.log(self.rows).sum()  # without the cost of the parameters
-        return [best, together] if ahead > TOGETHER * more and min(theta) > -1.0 else alone
+        return [best, together] if ahead > TOGETHER * more and not reversed_ else alone
 
     def _fit(self, responses: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""

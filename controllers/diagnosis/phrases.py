@@ -68,16 +68,14 @@ def gains(values: Sequence[float], model: LinearModel, what: str) -> str:
     """Return how strongly each of several controls moves the plant; `what` they are called: a control, or an input."""
     p = model.controls
     names = list(model.names.controls) if model.names else [f"{j}" for j in range(p)]
-    called = "" if model.names and what != "control" else f"the {what}s " if model.names else f"{what}s "
-    factors, stds = ([f"{value:.{digits}g}" for value in each] for each, digits in ((values[:p], 3), (values[p:], 1)))
-    return (
-        f"{called}{_listed(names)} move the plant {_listed(factors)} times as strongly as in the model (standard deviations "
-        f"{_listed(stds)})"
-    )
+    called = "" if model.names and what != "control" else f"the {what} " if model.names else f"{what} "
+    each = [f"{values[j]:.3g} (standard deviation {values[p + j]:.1g})" for j in range(p)]
+    others = [f"{called}{names[j]} {each[j]}" for j in range(1, p)]
+    return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {_listed(others)}"
 
 
 def _listed(words: Sequence[str]) -> str:
-    return f"{', '.join(words[:-1])} and {words[-1]}"
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 __all__ = ["STUCK_AT", "beyond", "change", "gains", "named", "since", "strongly"]

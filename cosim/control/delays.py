@@ -7,7 +7,7 @@ them does.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -61,31 +61,41 @@ class Held:
         Sample time of the controller in seconds.
     steps : int
         Steps of the plant in each sample, for matrices in discrete time. 0 for those in continuous time.
+    between : Held, optional
+        The plant in continuous time of which those in discrete time may be samples: what it does between two steps.
     """
 
     A: Floats
     B: Floats
     step: float
     steps: int = 0
+    between: Held | None = None
 
     def reached(self, part: float) -> Floats:
         """Return the effect of inputs of 1 for a part of a sample: a column for each input.
 
-        Between two steps of a plant in discrete time the effect grows linearly.
+        At the steps of a plant in discrete time it is exact. Between two of them it grows linearly, or as that of `between`.
         """
         if not self.steps:
             return held(self.A, self.B, part * self.step)[1]
         whole, rest = divmod(part * self.steps, 1.0)
         before = repeated(self.A, self.B, int(whole))[1]
-        return before + rest * (self.A @ before + self.B - before)
+        effect = before + rest * (self.A @ before + self.B - before)
+        if self.between is None or not rest:
+            return effect
+        last, following = (self.between.reached((whole + n) / self.steps) for n in (0, 1))
+        return effect + self.between.reached(part) - last - rest * (following - last)
 
     def kept(self, states: NDArray[np.bool_]) -> Held:
         """Return the same for some of the states."""
-        return Held(self.A[np.ix_(states, states)], self.B[states], self.step, self.steps)
+        between = None if self.between is None else self.between.kept(states)
+        return Held(self.A[np.ix_(states, states)], self.B[states], self.step, self.steps, between)
 
 
 def interpolated(A: Floats, B: Floats, step: float, steps: int) -> Held:
     """Return what the inputs of a plant in discrete time do within a sample; exactly, if it is clear which plant was sampled.
+
+    At the plant's own steps it is exact in any case.
 
     Parameters
     ----------
@@ -120,7 +130,7 @@ def interpolated(A: Floats, B: Floats, step: float, steps: int) -> Held:
     rates = rates * (scales[:, None] / scales) * steps
     a, b = np.zeros_like(A), np.vstack([rates[:n, n:], repeated(fast, inputs[n:], steps)[1]])
     a[:n, :n] = rates[:n, :n]
-    return Held(basis @ a @ np.linalg.inv(basis) / step, basis @ b / step, step)
+    return replace(given, between=Held(basis @ a @ np.linalg.inv(basis) / step, basis @ b / step, step))
 
 
 def repeated(a: Floats, b: Floats, times: int) -> tuple[Floats, Floats]:
@@ -247,7 +257,8 @@ def delay_margin(loop: Matrices, reached: Callable[[float], Floats], start: floa
         return np.array([value.real, value.imag])
 
     found = root(away, [nearest, 0.5 * (low + high)])
-    if found.success and abs(found.x[1] - high) < 1.0 / PARTS:  # the turns are uncertain very near to the limit
+    # The turns are uncertain very near to the limit, but it is not beyond the next halving.
+    if found.success and -1.0 / PARTS < found.x[1] - high <= high - low:
         return float(max(found.x[1] - start, 0.0))
     return float(max(low, np.floor(high)) - start)
 

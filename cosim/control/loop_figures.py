@@ -78,6 +78,7 @@ def bode_figure(
     if (
         frequencies.ndim != 1
         or len(frequencies) < 2
+        or not (np.diff(frequencies) > 0).all()
         or not 0 < frequencies[0] < frequencies[-1] <= nyquist * (1 + 1e-9)
     ):
         raise ModelError(

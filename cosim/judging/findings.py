@@ -42,6 +42,9 @@ alarm is the least, because a learner distinguishes offset, drift and jump only 
 SURE_ONSET = ("Frozen",)
 """Kinds whose onset is certain when they are found, from equal samples: later estimates only forget it."""
 
+OFFSETS = ("Offset", "Drifting", "Ramping")
+"""Kinds whose size is the present offset of the sensor."""
+
 PLAIN = ("DroppedOut",)
 """Kinds that the samples show by themselves: a change to them counts from `HOLD_SAMPLES` on."""
 UNITS = {"noise": "x noise", "distance": "x noise from the belief", "effect": "of the effect"}
@@ -402,7 +405,7 @@ def _of(
     earlier: float | None = None
     for part, following in zip_longest(found := parts_of_device(device, time, threshold, hold), found[1:]):
         begin, end, kind = part.begin, part.end, part.kind
-        size = size_at_end(getattr(device, "size", None), device.kind, part, device.sizes)
+        size = size_at_end(getattr(device, "size", None), device.kind, part, device.kinds)
         sure = _name(device.kinds, kind) in SURE_ONSET
         onset = onset_of_kind(getattr(device, "onset", None), device.kind, part, first=sure)
         scale = device.sizes[kind - 1] if 0 < kind <= len(device.sizes) else "unit"
@@ -471,22 +474,22 @@ def onset_of_kind(values: Floats | None, most: Floats | None, part: Part, *, fir
     return float(values[rows[row]]) if len(rows) and np.isfinite(values[rows[row]]) else None
 
 
-def size_at_end(values: Floats | None, most: Floats | None, part: Part, scales: Sequence[str]) -> float | None:
-    """Return the last size of a part, of its kind or of one whose sizes mean the same; None without any.
+def size_at_end(values: Floats | None, most: Floats | None, part: Part, kinds: Sequence[str]) -> float | None:
+    """Return the last size of a part, of its kind or of one whose size means the same; None without any.
 
-    A slow drift may be Drifting and Ramping in turns. Both know its size, and that of its own kind may be hours old.
+    A slow drift may be Drifting and Ramping in turns. Both know its offset, and that of its own kind may be hours old.
 
     Parameters
     ----------
     values, most, part
         As for `onset_of_kind`.
-    scales : sequence of str
-        In what the size of each kind is, or of the first kinds.
+    kinds : sequence of str
+        The names of the kinds.
     """
     if values is None or most is None:
         return None
-    own = scales[part.kind - 1] if 0 < part.kind <= len(scales) else None
-    same = [part.kind, *(kind for kind, scale in enumerate(scales, 1) if scale == own)]
+    offsets = [number for number, kind in enumerate(kinds, 1) if kind in OFFSETS]
+    same = offsets if part.kind in offsets else [part.kind]
     within = slice(part.begin, part.end)
     sizes = values[within][np.isin(most[within], same) & np.isfinite(values[within])]
     return float(sizes[-1]) if len(sizes) else None

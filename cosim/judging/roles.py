@@ -22,6 +22,9 @@ from bayesftc.cosim.judging.signals import (
 from bayesftc.cosim.run.result import Result
 from bayesftc.cosim.types import Floats
 
+DRAWN = (".P", "mode_probability")
+"""Ends of the names of signals that only figures need."""
+
 Table = np.ndarray[tuple[int, int], np.dtype[np.bool_]]
 """Flags with a row for each step and a column for each sensor."""
 
@@ -121,20 +124,19 @@ class _Reader:
     def __init__(self, result: Result, controller: str):
         self.result, self.controller = result, controller
         self.names = frozenset(result)
+        self.others: frozenset[str] = getattr(result, "unrecorded", frozenset())  # a campaign reads pieces of runs
         self.unrecorded: dict[str, None] = {}
-        """Signals of the loop that were looked for and not recorded. Outputs that a controller may lack are not among them."""
+        """Signals of the loop that were looked for and not recorded."""
 
     def signal(self, name: str) -> Floats | None:
-        return self.result[name] if name in self.names else None
-
-    def of_loop(self, name: str) -> Floats | None:
-        """Return a signal that the loop has."""
-        if name not in self.names:
+        if name in self.names:
+            return self.result[name]
+        if name in self.others and not name.endswith(DRAWN):
             self.unrecorded[name] = None
-        return self.signal(name)
+        return None
 
     def active(self, fault: str) -> Flags | None:
-        values = self.of_loop(f"{fault}.active")
+        values = self.signal(f"{fault}.active")
         return None if values is None else values > 0.5  # type: ignore[return-value]
 
     def faulty(self, faults: Iterable[str]) -> Flags | None:
@@ -159,7 +161,7 @@ class _Reader:
         return [values[:, i] for i in range(count)] if values is not None and fits else [None] * count
 
     def at(self, place: Place | None) -> Floats | None:
-        values = None if place is None else self.of_loop(place[0])
+        values = None if place is None else self.signal(place[0])
         return None if values is None or place is None else _flat(values)[:, place[1]]
 
 
@@ -198,7 +200,9 @@ def _actuators(reader: _Reader, roles: LoopRoles, drawn: bool) -> tuple[Actuator
 
 def _controls(reader: _Reader, roles: LoopRoles) -> tuple[ControlSignals, ...]:
     """Return the controls that were recorded."""
-    own = reader.columns("u", len(roles.controls))
+    own: list[Floats | None] = [None] * len(roles.controls)
+    if any(role.sent is None for role in roles.controls):  # else it may be an input, as of an estimator
+        own = reader.columns("u", len(roles.controls))
     sent = [
         values if role.sent is None else reader.at(role.sent) for role, values in zip(roles.controls, own, strict=True)
     ]
@@ -220,8 +224,7 @@ def _quantity(reader: _Reader, role: QuantityRole, drawn: bool) -> QuantitySigna
     terms = [weight * values for weight, values in used if values is not None]
     truth = np.sum(terms, axis=0) if terms and len(terms) == len(used) else None
     row = None if role.belief is None else np.array(role.belief)
-    x_hat = None if row is None else reader.of_loop(f"{reader.controller}.x_hat")
-    P = reader.output("P") if drawn else None
+    x_hat, P = reader.output("x_hat"), reader.output("P") if drawn else None
     belief = None if x_hat is None or row is None else x_hat @ row
     spread = None
     if belief is not None and P is not None and row is not None and P.shape[1:] == (len(row), len(row)):

@@ -116,12 +116,16 @@ class SensorSignals:
 
     @property
     def missing_share(self) -> float:
-        """The share of the samples that were missing of those that were due; NaN if the samples were not recorded."""
+        """The share of the samples that were missing of those that were due; NaN if the samples were not recorded.
+
+        Those of a slow sensor are due at the median distance.
+        """
         if self.missing is None or not len(self.missing):
             return np.nan
-        usual, given = self._usual, np.flatnonzero(~self.missing)
-        if usual == 1:
+        given = np.flatnonzero(~self.missing)
+        if self._usual == 1:
             return float(self.missing.mean())
+        usual = int(np.median(np.diff(given)))
         gaps = np.diff(given) / usual
         within = np.round(gaps[gaps >= LONGER]) - 1.0
         count = given[0] // usual + within.sum() + (len(self.missing) - 1 - given[-1]) // usual

@@ -230,15 +230,20 @@ class Result(Mapping[str, Floats]):
         plain = without_brackets(port, known)
         return self._columns[f"{block}.{plain}"] if plain else None
 
+    @property
+    def unrecorded(self) -> frozenset[str]:
+        """Names of the diagram's signals that were not recorded."""
+        return self._signals.unrecorded
+
     def _without(self, name: object) -> str:
         """Return the message about a missing signal."""
         if isinstance(name, list | tuple):
             return f"A result gives one signal at a time, not {name!r}; use result.to_pandas()[{list(name)!r}] for several."
-        if name in self._signals.unrecorded:
+        if name in self.unrecorded:
             return (
                 f"The signal {name!r} was not recorded. To record it, name it: simulate(..., record=['*', {name!r}])."
             )
-        others = self._signals.unrecorded
+        others = self.unrecorded
         near = get_close_matches(str(name), [*self._columns, *others])
         port = str(name).rpartition(".")[2]  # perhaps of another block
         hint = did_you_mean(name if near else port, self._columns, others=others)

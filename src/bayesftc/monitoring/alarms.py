@@ -294,7 +294,7 @@ def _each(
             continue
         most = signals["mode_probability"][:, i].argmax(axis=1)
         kind = name_of_kind(modes, part.kind)
-        size = size_at_end(signals["fault_size"][:, i], most, part, [mode.size_scale for mode in modes])
+        size = size_at_end(signals["fault_size"][:, i], most, part, [type(mode).__name__ for mode in modes])
         onset = onset_of_kind(signals["fault_onset"][:, i], most, part, first=kind in SURE_ONSET)
         yield FaultEvent(
             sensor,
@@ -326,8 +326,8 @@ def actuator_events(
     """
     p, of_modes = signals["actuator_fault_probability"], signals["actuator_mode_probability"]
     for name, span, part, j in _spans(recording, names, p, of_modes, modes, alarm):
-        most, scales = of_modes[:, j].argmax(axis=1), [mode.size_scale for mode in modes]
-        size = size_at_end(signals["actuator_fault_size"][:, j], most, part, scales)
+        most, kinds = of_modes[:, j].argmax(axis=1), [type(mode).__name__ for mode in modes]
+        size = size_at_end(signals["actuator_fault_size"][:, j], most, part, kinds)
         yield ActuatorEvent(
             name, *span, kind=name_of_kind(modes, part.kind), size=size, continued=part.begin > part.alarm
         )

@@ -12,7 +12,7 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
-from bayesftc.cosim.judging.findings import SURE_ONSET, onset_of_alarm, plain_kinds, sections
+from bayesftc.cosim.judging.findings import OFFSETS, SURE_ONSET, onset_of_alarm, plain_kinds, sections
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import (
     ACTUATOR_SIGNALS,
@@ -70,7 +70,7 @@ class AlarmWatch:
         alarm: Alarm | None = None,
     ):
         self._names, self._modes = tuple(sensors), tuple(modes)
-        self._scales = [mode.size_scale for mode in modes] or [""]
+        self._offsets = {k for k, mode in enumerate(modes) if type(mode).__name__ in OFFSETS}
         self._plain = plain_kinds([type(mode).__name__ for mode in modes])
         self._alarm = alarm or Alarm()
         self._step = float(step)
@@ -144,7 +144,8 @@ class AlarmWatch:
             numbers = of_kind[-1].numbers if of_kind else (None,) * (len(self.signals) - 2)
             if kind in SURE_ONSET and of_kind:
                 numbers = numbers[0], of_kind[0].onset
-            sizes = [each.numbers[0] for each in part if each.numbers and self._scales[each.kind] == self._scales[k]]
+            same = self._offsets if k in self._offsets else {k}
+            sizes = [each.numbers[0] for each in part if each.numbers and each.kind in same]
             numbers = next((size for size in reversed(sizes) if size is not None), None), *numbers[1:]
             yield self._made(i, span, kind, numbers, continued)
 

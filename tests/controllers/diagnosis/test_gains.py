@@ -38,7 +38,8 @@ def test_the_effect_of_each_control_is_measured(factors, seed):
     found, std = np.split(np.array(finding.values), 2)
     assert np.all(np.abs(found - factors) < 4 * std)
     assert np.all(std < 0.05)
-    assert f"the controls heat and feed move the plant {found[0]:.3g} and {found[1]:.3g} times" in finding.sentence
+    assert f"the control heat moves the plant {found[0]:.3g} (standard deviation" in finding.sentence
+    assert f"the control feed {found[1]:.3g} (standard deviation" in finding.sentence
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -64,15 +65,32 @@ def test_where_only_the_sum_of_two_effects_shows_either_control_may_be_wrong():
     assert finding.values[0] == pytest.approx(1.1, abs=0.05)
 
 
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("seed", range(5))
+def test_a_control_without_effect_is_no_reversed_one(seed):
+    """Noise decided between the effects of both, a reversed control, and other dynamics."""
+    A, B = np.array([[0.95, 0.05], [0.0, 0.9]]), np.array([[0.1, 0.02], [0.0, 0.1]])
+    model = controllers.LinearModel(A, B, np.eye(2)[[0, 0, 1, 1]], 1e-4, 0.01, dt=1.0)
+    rng, x = np.random.default_rng(seed), np.zeros((400, 2))
+    u = np.repeat(rng.normal(size=(80, 2)), 5, axis=0)
+    for k in range(399):
+        x[k + 1] = A @ x[k] + B @ ([0.0, 2.0] * u[k]) + 0.01 * rng.standard_normal(2)
+    finding = controllers.diagnose_recording(model, x[:, [0, 0, 1, 1]] + 0.1 * rng.standard_normal((400, 4)), u)
+    assert finding.kind in {"gain", "gains"}
+    assert "opposite" not in finding.sentence
+
+
 def test_each_of_several_controls_is_listed_with_its_factor():
     model = controllers.LinearModel(np.eye(3), np.eye(3), np.eye(3), 1e-3, 0.01, dt=1.0)
     said = sentence("gains", (0.5, 0.8, 0.71234, 0.01, 0.02, 0.034), model)
-    assert "controls 0, 1 and 2 move the plant 0.5, 0.8 and 0.712 times as strongly as in the model" in said
-    assert "(standard deviations 0.01, 0.02 and 0.03)" in said
+    assert (
+        "control 0 moves the plant 0.5 (standard deviation 0.01) times as strongly as in the model, control 1 0.8 (standard "
+        "deviation 0.02) and control 2 0.712 (standard deviation 0.03)"
+    ) in said.replace("Control 0", "control 0")
     assert "A dead band" in said
     assert "A dead band" not in sentence("gains", (0.5, 0.8, 1.2, 0.01, 0.02, 0.03), model)
     said = of_inputs(None)["gains"]((0.5, 0.8, 0.01, 0.02), MODEL)
-    assert said.startswith("heat and feed move the plant 0.5 and 0.8 times")
+    assert said.startswith("heat moves the plant 0.5 (standard deviation 0.01) times")
     assert "noise in them" in said
 
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 from bayesftc import controllers, cosim
-from bayesftc.cosim.control.delays import Held, Matrices, delay_margin
+from bayesftc.cosim.control.delays import Held, Matrices, delay_margin, interpolated, repeated
 from bayesftc.cosim.errors import ModelError
 
 # --- The search, for random loops ------------------------------------------------------------------------------------
@@ -189,3 +189,25 @@ def test_dead_times_are_multiples_of_the_steps_at_which_a_block_reads():
         ModelError, match=r"dead time of 0.3 s, which is no multiple of the sample time of 0.2 s at which"
     ):
         slower({"faults": [cosim.Delay(delay=0.3, initial=float("nan"))]}).linear()
+
+
+@pytest.mark.parametrize("least", [0.0, 1e-4, 0.3])
+def test_dead_times_are_exact_at_the_steps_of_a_plant_in_discrete_time(least):
+    """A plant with a delay of its own, ten steps a sample, was stable with a dead time of 7 steps, and is not."""
+    A, B = np.array([[0.9, 0.1], [0.0, least]]), np.array([[0.0], [1.0]])
+    within = interpolated(A, B, 0.1, 10)
+    for steps in range(11):
+        np.testing.assert_allclose(within.reached(steps / 10), repeated(A, B, steps)[1], atol=1e-9)
+    around = [within.reached(0.3 + d) for d in (-1e-6, 1e-6)]
+    np.testing.assert_allclose(*around, atol=1e-4)
+
+
+@pytest.mark.parametrize("omega", [[1.0, 5.0, 3.0, 10.0], [1.0, np.nan, 10.0], [1.0], [5.0, 1.0]])
+def test_frequencies_of_a_bode_plot_must_grow(omega):
+    loop = cosim.closed_loop(
+        control.ss(-1, 1, 1, 0, inputs=["u"], outputs=["x"]),
+        controllers.BayesianController(controllers.LinearModel([[0.99]], [[0.01]], [[1.0]], 1e-4, 1e-2, dt=0.01)),
+        control="u", measured="x", sensors=cosim.Sensors(1, 0.1), reference=0.0,
+    )  # fmt: skip
+    with pytest.raises(ModelError, match="Give frequencies in rad/s that grow"):
+        loop.bode(omega=omega)

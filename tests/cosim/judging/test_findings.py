@@ -115,11 +115,11 @@ def test_each_kind_of_an_alarm_has_its_own_row_onset_and_bar():
     assert bars_of(signals) == [(20.0, 80.0), (80.0, 140.0)]
 
 
-@pytest.mark.parametrize(("scales", "size"), [(("unit",) * 3, 199.0), (("unit", "noise", "unit"), 189.0)])
-def test_the_size_of_a_row_is_that_at_its_end(scales, size):
+@pytest.mark.parametrize(("other", "size"), [(OFFSET, 199.0), (FROZEN, 189.0)])
+def test_the_size_of_a_row_is_that_at_its_end(other, size):
     """A slow drift, Drifting and Ramping in turns, had the size of the last step with the kind of its row, hours before."""
-    signals = loop(course((OFFSET, 10), (DRIFTING, 180), (OFFSET, 10)))
-    sensor = replace(signals.sensors[0], size=np.arange(200.0), sizes=scales)
+    signals = loop(course((other, 10), (DRIFTING, 180), (other, 10)))
+    sensor = replace(signals.sensors[0], size=np.arange(200.0))
     (found,) = findings(replace(signals, sensors=(sensor,)))
     assert (found.kind, found.size) == ("Drifting", size)
 

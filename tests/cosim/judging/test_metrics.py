@@ -110,6 +110,12 @@ def test_the_share_of_missing_samples_is_of_those_that_were_due(usual, late):
     assert sensor.missing_share == pytest.approx(lost.mean(), abs=1.01 / len(due))
 
 
+def test_a_slow_sensor_whose_samples_come_early_or_late_loses_none():
+    rng, samples = np.random.default_rng(0), np.full(1000, np.nan)
+    samples[(10 * np.arange(100) + rng.integers(-2, 3, 100)).clip(0)] = 1.0
+    assert SensorSignals(0, samples, np.zeros(1000, bool), None, None, None).missing_share == 0.0
+
+
 def test_alarms_between_two_samples_of_a_slow_sensor_count():
     """Three alarms were listed beside a share of 0.00 %: faster sensors had blamed an analyser between two of its samples."""
     samples = np.where(np.arange(60) % 6 == 0, 1.0, np.nan)
