@@ -71,11 +71,12 @@ def gains(values: Sequence[float], model: LinearModel, what: str) -> str:
     called = "" if model.names and what != "control" else f"the {what} " if model.names else f"{what} "
     each = [f"{values[j]:.3g} (standard deviation {values[p + j]:.1g})" for j in range(p)]
     others = [f"{called}{names[j]} {each[j]}" for j in range(1, p)]
-    return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {_listed(others)}"
+    return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {listed(others)}"
 
 
-def _listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str]) -> str:
+    """Return words with commas, and an 'and' before the last of them."""
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-__all__ = ["STUCK_AT", "beyond", "change", "gains", "named", "since", "strongly"]
+__all__ = ["STUCK_AT", "beyond", "change", "gains", "listed", "named", "since", "strongly"]

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.candidates import AS_STATED, EFFECT
-from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, change, gains, named, seconds, since, strongly
+from bayesftc.controllers.diagnosis.phrases import (
+    STUCK_AT,
+    beyond,
+    change,
+    gains,
+    listed,
+    named,
+    seconds,
+    since,
+    strongly,
+)
 from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
 from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
 from bayesftc.cosim.base.numbers import counted
@@ -374,13 +384,17 @@ def _known_loads(model: LinearModel) -> str:
     """Return the names of the loads that the model has as slow noise, as those of `loads`; nothing if it has none."""
     names = model.state_names
     each = [names[i] for i in lagged_loads(model, measured=True)]
-    return f"the load {each[0]}" if len(each) == 1 else f"one of the loads {' and '.join(each)}" if each else ""
+    return f"the load {each[0]}" if len(each) == 1 else f"one of the loads {listed(each)}" if each else ""
 
 
 def _faster(model: LinearModel) -> str:
     """Return a sentence on the loads that the model has as slow noise; nothing if it has none."""
     known = _known_loads(model)
-    return f" Or {known} may be larger, or change faster, than the model says: try {STATED}." if known else ""
+    return (
+        f" {known[0].upper()}{known[1:]} may be larger, or change faster, than the model says: try {STATED}."
+        if known
+        else ""
+    )
 
 
 def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | None], controlled: bool) -> str:
@@ -526,8 +540,8 @@ def _onset(
         acts = f"a load acts {times}, " if len(loads) == 1 else f"one load acts {times}; at least one of the two acts "
         if known := _known_loads(model):
             return (
-                f"{acts}where no control does. {far}If it is {known} of the model, give it {STATED}. For another load, the plant "
-                "that you design for needs an input where it acts: name it in loads, too."
+                f"{acts}where no control does. {far}If it is {known} of the model, give it {STATED}. For another load, give the "
+                "plant that you design for an input where the load acts, and name this input in loads, too."
             )
         return (
             f"{acts}where no control does. {far}If such "

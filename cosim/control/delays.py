@@ -6,7 +6,7 @@ them does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -34,8 +34,10 @@ POINTS = 1000
 """Number of frequencies, besides those about the poles, at which the loop is evaluated to count its turns."""
 TURNS = 64
 """Number of turns of the phase after which the search ends."""
-HALVINGS = 5
-"""How often the distance between a stable and an unstable delay is halved, before the limit is computed."""
+NEAR = 1.0 / 512
+"""Distance in samples between a stable and an unstable delay, from which the limit is computed."""
+UNCERTAIN = 1e-3
+"""How far the limit may be below the least unstable delay that was found, as a share of this delay."""
 OUTSIDE = 1e-9
 """How far outside the unit circle the loop is evaluated, where no pole of an integrator or an undamped mode lies."""
 
@@ -234,19 +236,22 @@ def delay_margin(loop: Matrices, reached: Callable[[float], Floats], start: floa
 
     soon = np.ceil(start) + SOON  # what an input does at once it does a sample later as soon as it is delayed
     places = sorted([soon, *(start + i / PARTS for i in range(1, PARTS + 1))])
-    high = next((place for place in places if lost(place)), None)
-    if high is None:
-        later = {
-            float(place) for each in places for place in each + _later(turned(each, angles, columns) - 1.0, angles)
-        }
-        high = next((place for place in sorted(later) if lost(place)), None)
-    if high is None:
+
+    def candidates() -> Iterator[float]:
+        yield from places
+        yield from np.unique(
+            np.concatenate([each + _later(turned(each, angles, columns) - 1.0, angles) for each in places])
+        )
+
+    low, high = start, np.inf
+    for place in candidates():
+        if lost(place):
+            high = place
+            break
+        low = place
+    else:
         return np.inf
-    low = high - 1.0 / PARTS
-    while low > start and lost(low):
-        low, high = low - 1.0 / PARTS, low
-    low = max(low, start)
-    for _ in range(HALVINGS):
+    while high - low > NEAR:
         middle = 0.5 * (low + high)
         low, high = (low, middle) if lost(middle) else (middle, high)
     nearest = float(angles[np.argmin(np.abs(turned(high, angles, columns)))])
@@ -257,8 +262,8 @@ def delay_margin(loop: Matrices, reached: Callable[[float], Floats], start: floa
         return np.array([value.real, value.imag])
 
     found = root(away, [nearest, 0.5 * (low + high)])
-    # The turns are uncertain very near to the limit, but it is not beyond the next halving.
-    if found.success and -1.0 / PARTS < found.x[1] - high <= high - low:
+    # Very near to the limit the turns are uncertain: of a slow loop, a little outside the unit circle, by many samples.
+    if found.success and -max(1.0 / PARTS, UNCERTAIN * high) < found.x[1] - high <= high - low:
         return float(max(found.x[1] - start, 0.0))
     return float(max(low, np.floor(high)) - start)
 

@@ -182,8 +182,8 @@ def late_outputs(program: Program) -> str:
         return ""
     return (
         f"The input {acting[direct[0]][0]} acts on the output {direct[0]} directly, so all outputs belong to the beginning of a "
-        f"step (timing 'sampled'): in another tool, {', '.join(other)} are a step late. For a plant, leave out such outputs: "
-        f"outputs={other!r}."
+        f"step (timing 'sampled'): in another tool, {', '.join(other)} {'is' if len(other) == 1 else 'are'} a step late. For a "
+        f"plant, leave out such outputs: outputs={other!r}."
     )
 
 

@@ -346,7 +346,8 @@ def unrecorded(names: Sequence[str]) -> list[str]:
         return []
     rest = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
     return [
-        f"Not recorded: {', '.join(names[:MOST_NAMES])}{rest}. The tables lack what needs them. Without record= all are recorded."
+        f"Not recorded: {', '.join(names[:MOST_NAMES])}{rest}. The tables lack what needs them. A run without record= records "
+        "all signals."
     ]
 
 

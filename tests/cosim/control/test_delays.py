@@ -202,6 +202,17 @@ def test_dead_times_are_exact_at_the_steps_of_a_plant_in_discrete_time(least):
     np.testing.assert_allclose(*around, atol=1e-4)
 
 
+@pytest.mark.parametrize("lag", [10.0, 100.0, 5000.0])
+def test_the_delay_margin_of_a_slow_loop_is_that_of_continuous_time(lag):
+    """At 5000 s it was 20 of 125658 samples too long. Holding the input is a delay of half a sample."""
+    step, gain = 0.1, 0.5 / lag  # gain / (s (lag s + 1))
+    crossover = np.sqrt((np.sqrt(1.0 + 4.0 * (gain * lag) ** 2) - 1.0) / 2.0) / lag
+    limit = (np.pi / 2.0 - np.arctan(lag * crossover)) / crossover / step - 0.5
+    A, B = np.array([[0.0, 1.0], [0.0, -1.0 / lag]]), np.array([[0.0], [1.0 / lag]])
+    loop = Matrices(expm(A * step), np.zeros((2, 1)), np.array([[gain, 0.0]]), np.zeros((1, 1)))
+    assert delay_margin(loop, Held(A, B, step).reached) == pytest.approx(limit, rel=2e-6)
+
+
 @pytest.mark.parametrize("omega", [[1.0, 5.0, 3.0, 10.0], [1.0, np.nan, 10.0], [1.0], [5.0, 1.0]])
 def test_frequencies_of_a_bode_plot_must_grow(omega):
     loop = cosim.closed_loop(

@@ -290,7 +290,7 @@ def test_what_was_not_recorded_is_named(loop, result):
     said = loop.simulate(1.0, record=["plant.v", "controller.fault_probability"], engine="interpreted").summary()
     (note,) = said.notes
     assert note.startswith("Not recorded: freeze_0.active, controller.precision,")
-    assert note.endswith("more. The tables lack what needs them. Without record= all are recorded.")
+    assert note.endswith("more. The tables lack what needs them. A run without record= records all signals.")
     for name in ("controller.x_hat", "controller.fault_probability", "reference.y"):
         record = [each for each in result if each != name]
         (note,) = loop.simulate(1.0, record=record, engine="interpreted").summary().notes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from enum import StrEnum
@@ -19,7 +19,6 @@ from bayesftc.cli.commands.loops._compare import compare_scenarios
 from bayesftc.cli.findings import add_findings, notes_on, source_of_samples
 from bayesftc.cli.options import Duration, Json, Quiet, RunFolder, Seed, check_numbers
 from bayesftc.cosim.blocks.faults.without_effect import noted_elsewhere
-from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.diagram.wiring import dead_times
 from bayesftc.cosim.errors import BayesFTCError, ModelError, SimulationError
 from bayesftc.cosim.judging.findings import numbers_of
@@ -194,7 +193,7 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "stopped": result.stopped,
         **numbers_of(signals),
         "notes": [
-            *_notes(scenario, signals, _unrecorded(loop, result)),
+            *_notes(scenario, signals),
             *notes_on(loop, result, signals),
         ],
     }
@@ -218,34 +217,16 @@ def _in_time(pace: Mapping[str, float]) -> str:
     )
 
 
-def _unrecorded(loop: Diagram, result: Result) -> list[str]:
-    """Return the names of signals that the figures need and that were not recorded."""
-    roles = find_roles(loop)
-    controller = loop[roles.controller]
-    inferred = {port.name for port in controller.outputs} & {"fault_probability", "detected"}
-    places = [
-        *(place for quantity in roles.quantities for _, place in quantity.truth or ()),
-        *(quantity.reference for quantity in roles.quantities),
-        *(place for role in roles.inputs for place in (role.sent, role.received)),
-    ]
-    needed = [place[0] for place in places if place is not None]
-    needed += [f"{roles.controller}.x_hat"] * any(quantity.belief is not None for quantity in roles.quantities)
-    needed += [f"{roles.controller}.{name}" for name in sorted(inferred)]
-    chains = [*(role.faults for role in roles.sensors), *(role.faults for role in roles.inputs)]
-    needed += [f"{fault}.active" for chain in chains for fault in chain]
-    return [name for name in dict.fromkeys(needed) if name not in result]
-
-
-def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] = ()) -> list[str]:
+def _notes(scenario: Scenario, signals: LoopSignals) -> list[str]:
     """Return sentences on the numbers that the figures lack, and why."""
     why = getattr(getattr(scenario.controller, "precision", None), "why_no_probability", None)
     notes = [f"There is no fault probability: {why}"] if why else []
     if any(sensor.detected is not None and sensor.alarm is sensor.detected for sensor in signals.sensors):
         notes.append("Alarms are the samples at which the controller detects a fault.")
-    if unrecorded:
+    if signals.unrecorded:
         notes.append(
-            f"Figures are missing, because these signals were not recorded: {', '.join(unrecorded)}. Add them to 'record' of the "
-            "scenario, or remove 'record'."
+            f"Figures are missing, because these signals were not recorded: {', '.join(sorted(signals.unrecorded))}. Add them to "
+            "'record' of the scenario, or remove 'record'."
         )
     goals, others = ([q.name for q in signals.quantities if q.has_goal == has_goal] for has_goal in (True, False))
     if others:
@@ -273,7 +254,7 @@ def _notes(scenario: Scenario, signals: LoopSignals, unrecorded: Sequence[str] =
         ):
             if when := _first_not_finite(values, signals.time):
                 notes.append(f"The {what} of {quantity.name} is not finite {when}, so it has no {figures_of} then.")
-    if signals.faulty is None and not unrecorded:
+    if signals.faulty is None and not signals.unrecorded:
         notes.append("There are no figures of detection: the times of the faults were not recorded.")
     for sensor in signals.sensors:
         if sensor.probability is not None and why is None:
