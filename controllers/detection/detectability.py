@@ -137,7 +137,7 @@ class Detectability:
             Further results to draw, by their names in the legend.
         """
         from bayesftc.controllers.detection.figure import draw
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         return draw({self.form: self, **(others or {})}, shown_figure())
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, LINES, MARKERS, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, LINES, MARKERS, SENSOR_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import thin
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.panels import thin
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, SENSOR_COLOURS
 from bayesftc.cosim.statistics._whiteness import LAGS, autocorrelation
 
 if TYPE_CHECKING:

@@ -123,7 +123,7 @@ class Identification(Printed):
     def plot(self) -> Figure:
         """Return a figure: held-out data, predictions and residuals of each output, and the choice of the order."""
         from bayesftc.controllers.identification.figure import draw
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         return draw(self, shown_figure())
 

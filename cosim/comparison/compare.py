@@ -175,7 +175,7 @@ class Comparison:
             A notebook shows it; a script saves it (``figure.savefig("comparison.png")``) or shows it with ``pyplot.show()``.
         """
         from bayesftc.cosim.comparison.figure import plot_comparison
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         return plot_comparison({name: self.signals(name) for name in self.loops}, list(self._units), shown_figure())
 

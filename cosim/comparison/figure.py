@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.limits import mark_cut
-from bayesftc.cosim.judging.panels import PANEL, finish, legend, make_panels
-from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.limits import mark_cut
+from bayesftc.cosim.judging.figures.panels import PANEL, finish, legend, make_panels
+from bayesftc.cosim.judging.figures.plotting import BLUE, LINES, SENSOR_COLOURS
 from bayesftc.cosim.judging.signals import LoopSignals
 from bayesftc.cosim.types import Floats
 

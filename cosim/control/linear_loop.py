@@ -120,7 +120,7 @@ class LinearLoop:
             A notebook shows it by itself. In a script, save it (``figure.savefig("bode.png")``) or call ``pyplot.show()``.
         """
         from bayesftc.cosim.control.loop_figures import bode_figure
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         margins = self.margins(at) if self._is_stable else None
         title = self._title("Loop transfer function", at)
@@ -140,7 +140,7 @@ class LinearLoop:
             See `bode`.
         """
         from bayesftc.cosim.control.loop_figures import root_locus_figure
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         return root_locus_figure(self.open(at), self.poles(), self._title("Root locus", at), shown_figure())
 

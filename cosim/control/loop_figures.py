@@ -10,8 +10,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from bayesftc.cosim.control.margins import margins_of
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.panels import PANEL, WIDTH, make_panels, plain
-from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.panels import PANEL, WIDTH, make_panels, plain
+from bayesftc.cosim.judging.figures.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.panels import PANEL, broken, finish, legend, make_panels, thin
-from bayesftc.cosim.judging.plotting import BLACK, MARKERS, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.panels import PANEL, broken, finish, legend, make_panels, thin
+from bayesftc.cosim.judging.figures.plotting import BLACK, MARKERS, SENSOR_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

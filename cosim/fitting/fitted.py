@@ -132,6 +132,6 @@ class FittedFMU:
     def plot(self) -> Figure:
         """Return a figure: for each output samples and fit, and below their differences."""
         from bayesftc.cosim.fitting.figure import plot_fit
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
 
         return plot_fit(self, shown_figure())

@@ -110,8 +110,8 @@ class Reliability:
         title : str, optional
             Title of the figure.
         """
-        from bayesftc.cosim.judging.panels import shown_figure
-        from bayesftc.cosim.judging.reliability_figure import plot_reliability
+        from bayesftc.cosim.judging.figures.panels import shown_figure
+        from bayesftc.cosim.judging.figures.reliability import plot_reliability
 
         return plot_reliability(self, shown_figure(), title)
 

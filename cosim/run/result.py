@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesftc.cosim.diagram.diagram import Diagram
-    from bayesftc.cosim.judging.notebook import NotebookAnimation
+    from bayesftc.cosim.judging.figures.notebook import NotebookAnimation
     from bayesftc.cosim.judging.signals import LoopSignals
     from bayesftc.cosim.run.summary import RunSummary
 
@@ -342,7 +342,7 @@ class Result(Mapping[str, Floats]):
     @cached_property
     def _agreement(self) -> dict[str, list[str]]:
         """Notes on healthy sensors that are blamed: all that agree (``"model"``, or ``"named"``: why), or one ``"often"``."""
-        from bayesftc.cosim.judging.findings import blamed_together, often_blamed
+        from bayesftc.cosim.judging.blame import blamed_together, often_blamed
         from bayesftc.cosim.judging.roles import signals_of
 
         roles = self.roles
@@ -358,7 +358,7 @@ class Result(Mapping[str, Floats]):
     @cached_property
     def _advice(self) -> str:
         """What to do about the healthy sensor that is blamed often."""
-        from bayesftc.cosim.judging.findings import LOOK_AT_MODEL, advice_on, often_blamed
+        from bayesftc.cosim.judging.blame import LOOK_AT_MODEL, advice_on, often_blamed
         from bayesftc.cosim.judging.roles import signals_of
 
         signals = None if self.roles is None else signals_of(self.roles, self)
@@ -388,7 +388,8 @@ class Result(Mapping[str, Floats]):
 
     def _findings_html(self) -> str:
         """Return the table of the inferred faults; nothing if there are none."""
-        from bayesftc.cosim.judging.findings import plain_findings, usual_hold
+        from bayesftc.cosim.judging.findings import plain_findings
+        from bayesftc.cosim.judging.parts import usual_hold
         from bayesftc.cosim.run.summary import findings_table
 
         inferred = plain_findings(self._loop_signals()) if self.roles is not None else None
@@ -522,8 +523,8 @@ class Result(Mapping[str, Floats]):
         signals : iterable of str, optional
             Names of signals. With names, the figure is ``plot_signals(signals)``.
         """
-        from bayesftc.cosim.judging.loop_figure import plot_run
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.loop_figure import plot_run
+        from bayesftc.cosim.judging.figures.panels import shown_figure
         from bayesftc.cosim.judging.roles import signals_of
 
         roles = self.roles if signals is None else None
@@ -544,8 +545,8 @@ class Result(Mapping[str, Floats]):
         UnknownNameError
             If there is no signal of that name.
         """
-        from bayesftc.cosim.judging.panels import shown_figure
-        from bayesftc.cosim.judging.plotting import plot_signals
+        from bayesftc.cosim.judging.figures.panels import shown_figure
+        from bayesftc.cosim.judging.figures.plotting import plot_signals
 
         return plot_signals(self, signals, shown_figure())
 
@@ -573,7 +574,7 @@ class Result(Mapping[str, Floats]):
         ModelError
             If the result has fewer than two rows or no scalar signal, or if a setting is wrong.
         """
-        from bayesftc.cosim.judging.animation import animate_run
+        from bayesftc.cosim.judging.figures.animation import animate_run
 
         return animate_run(self, frames, speed)
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from bayesftc import controllers, cosim
 from bayesftc.cosim.block import Block
-from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLUE, SENSOR_COLOURS
 
 DT = 0.1
 LOW, HIGH = -1500.0, 1500.0

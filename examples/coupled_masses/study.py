@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc import cosim
-from bayesftc.cosim.judging.plotting import BLACK, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLACK, SENSOR_COLOURS
 from bayesftc.examples.coupled_masses.masses import Masses
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
 Traces = dict[tuple[str, str], tuple[Floats, Floats, Floats]]

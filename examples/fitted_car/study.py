@@ -63,8 +63,8 @@ def errors(
 
 def draw(found: dict[str, Floats], file: str) -> None:
     """Draw the share of errors within each multiple of the standard error, beside that of normal errors."""
-    from bayesftc.cosim.judging.panels import bare_figure
-    from bayesftc.cosim.judging.plotting import BLACK, BLUE, LINES, SENSOR_COLOURS
+    from bayesftc.cosim.judging.figures.panels import bare_figure
+    from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, LINES, SENSOR_COLOURS
 
     figure = bare_figure()
     figure.set_size_inches(7.0, 3.6)

@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
 PREVIEWS = (0, 1, 2, 5, 10, 20, 50)

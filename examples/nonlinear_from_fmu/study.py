@@ -100,8 +100,8 @@ def show(title: str, table: Table) -> None:
 
 def draw(arm: Table, cart: Table, file: str) -> None:
     """Draw the arm's errors, and the share of pendulums that fall."""
-    from bayesftc.cosim.judging.panels import bare_figure
-    from bayesftc.cosim.judging.plotting import BLUE, LINES, SENSOR_COLOURS
+    from bayesftc.cosim.judging.figures.panels import bare_figure
+    from bayesftc.cosim.judging.figures.plotting import BLUE, LINES, SENSOR_COLOURS
 
     figure = bare_figure()
     figure.set_size_inches(9.0, 3.6)

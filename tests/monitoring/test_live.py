@@ -343,7 +343,7 @@ def test_a_gap_is_that_of_a_recording_but_for_its_first_steps():
 
 
 def test_an_alarm_lasts_as_in_a_recording():
-    from bayesftc.cosim.judging.findings import alarms
+    from bayesftc.cosim.judging.parts import alarms
 
     rng = np.random.default_rng(3)
     for hold in (0.0, 0.2, 0.5):

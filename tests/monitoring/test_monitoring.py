@@ -13,7 +13,7 @@ from scipy import linalg, stats
 
 from bayesftc.controllers import Burst, Drifting, FixedPrecision, LinearModel, Noisier, Offset, SwitchingPrecision
 from bayesftc.cosim.errors import BayesFTCError, ModelError, RecordingError
-from bayesftc.cosim.judging.findings import alarms
+from bayesftc.cosim.judging.parts import alarms
 from bayesftc.monitoring import (
     ActuatorEvent,
     Alarm,

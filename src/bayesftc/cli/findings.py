@@ -11,7 +11,8 @@ import numpy as np
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.diagram.wiring import find_controller, find_inference, inferring
 from bayesftc.cosim.errors import BayesFTCError, UnknownNameError
-from bayesftc.cosim.judging.findings import advice_on, blamed_together, never_began, often_blamed
+from bayesftc.cosim.judging.blame import advice_on, blamed_together, often_blamed
+from bayesftc.cosim.judging.findings import never_began
 from bayesftc.cosim.judging.metrics import limited, without_nan
 
 if TYPE_CHECKING:

@@ -79,7 +79,7 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
     ResultFileError
         If one of them cannot be written.
     """
-    from bayesftc.cosim.judging.loop_figure import plot_run
+    from bayesftc.cosim.judging.figures.loop_figure import plot_run
 
     text = as_json(numbers) + "\n"
     title = ", ".join([Path(numbers["scenario"]).stem, f"seed {numbers['seed']}", *result.notes])

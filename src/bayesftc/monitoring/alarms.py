@@ -13,16 +13,8 @@ from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import DefaultTime, time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
 from bayesftc.cosim.base.numbers import short
-from bayesftc.cosim.judging.findings import (
-    SURE_ONSET,
-    Part,
-    alarms,
-    onset_of_alarm,
-    onset_of_kind,
-    parts_of_alarms,
-    plain_kinds,
-    size_at_end,
-)
+from bayesftc.cosim.judging.findings import SURE_ONSET, onset_of_alarm, onset_of_kind, size_at_end
+from bayesftc.cosim.judging.parts import Part, alarms, parts_of_alarms, plain_kinds
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.gaps import Gap
 from bayesftc.monitoring.recording import Recording

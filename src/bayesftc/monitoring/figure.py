@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesftc.cosim.base.recordings.columns import bare_name
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.panels import (
+from bayesftc.cosim.judging.figures.panels import (
     ROW,
     as_dates,
     broken,
@@ -21,7 +21,7 @@ from bayesftc.cosim.judging.panels import (
     thin_marks,
     write_names,
 )
-from bayesftc.cosim.judging.plotting import BLACK, LINES, MARKERS, colour_of
+from bayesftc.cosim.judging.figures.plotting import BLACK, LINES, MARKERS, colour_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

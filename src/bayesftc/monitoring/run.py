@@ -243,7 +243,7 @@ class Monitored:
 
     def plot(self) -> Figure:
         """Return the figure: samples and belief, samples minus belief, and the fault probabilities."""
-        from bayesftc.cosim.judging.panels import shown_figure
+        from bayesftc.cosim.judging.figures.panels import shown_figure
         from bayesftc.monitoring.figure import plot_monitored
 
         return plot_monitored(self, shown_figure())

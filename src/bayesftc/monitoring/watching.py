@@ -12,7 +12,8 @@ import numpy as np
 from bayesftc.controllers.switching.actuator_modes import ActuatorMode
 from bayesftc.controllers.switching.default_time import time_at
 from bayesftc.controllers.switching.fault_modes import FaultMode
-from bayesftc.cosim.judging.findings import OFFSETS, SURE_ONSET, onset_of_alarm, plain_kinds, sections
+from bayesftc.cosim.judging.findings import OFFSETS, SURE_ONSET, onset_of_alarm
+from bayesftc.cosim.judging.parts import plain_kinds, sections
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import (
     ACTUATOR_SIGNALS,

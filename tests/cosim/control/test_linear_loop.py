@@ -11,7 +11,7 @@ from bayesftc.controllers import FixedPrecision
 from bayesftc.cosim.control.loop_figures import bode_figure, root_locus_figure
 from bayesftc.cosim.control.margins import margins_of
 from bayesftc.cosim.errors import ModelError, UnknownNameError
-from bayesftc.cosim.judging.panels import bare_figure
+from bayesftc.cosim.judging.figures.panels import bare_figure
 
 DT = 0.1
 A, B, H = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])

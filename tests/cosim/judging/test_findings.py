@@ -6,18 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.fault_panels import draw_detection
-from bayesftc.cosim.judging.findings import (
-    HOLD,
-    HOLD_SAMPLES,
-    MOST_HOLD_SAMPLES,
-    advice_on,
-    blamed_together,
-    findings,
-    onset_of_alarm,
-    parts,
-    usual_hold,
-)
+from bayesftc.cosim.judging.blame import advice_on, blamed_together
+from bayesftc.cosim.judging.figures.fault_panels import draw_detection
+from bayesftc.cosim.judging.findings import findings, onset_of_alarm
+from bayesftc.cosim.judging.parts import HOLD, HOLD_SAMPLES, MOST_HOLD_SAMPLES, parts, usual_hold
 from bayesftc.cosim.judging.signals import LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.run.summary import pauses
 

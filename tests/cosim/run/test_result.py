@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim import Port, Result
-from bayesftc.cosim.judging.findings import alarms_of_all
+from bayesftc.cosim.judging.blame import alarms_of_all
 from bayesftc.scenario import load_scenario
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bayesftc.console.shown.layout import AnyLane
-from bayesftc.cosim.judging.pictures import PICTURES, Line, Picture
+from bayesftc.cosim.judging.figures.pictures import PICTURES, Line, Picture
 from bayesftc.cosim.types import Floats
 
 

@@ -18,7 +18,7 @@ from bayesftc.cosim.base.numbers import MAD, short
 from bayesftc.cosim.base.recordings.dates import span_text
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.findings import AGREE
+from bayesftc.cosim.judging.blame import AGREE
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.types import Floats
 from bayesftc.monitoring.alarms import Disagreement, FaultEvent

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.plotting import BLACK, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLACK, SENSOR_COLOURS
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:

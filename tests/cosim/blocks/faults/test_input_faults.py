@@ -9,7 +9,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.bayesian.validation import check_kalman
 from bayesftc.cosim.blocks.faults.kinds import FAULTS
 from bayesftc.cosim.errors import ConnectionError, ModelError, UnconnectedInputError, UnknownNameError
-from bayesftc.cosim.judging.loop_figure import plot_run
+from bayesftc.cosim.judging.figures.loop_figure import plot_run
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.random import numbers

@@ -162,7 +162,7 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
 
 def _write_signals(folder: Path, result: Result, numbers: Mapping[str, Any]) -> None:
     """Write the signals of a diagram that is no closed loop, and the numbers of the run."""
-    from bayesftc.cosim.judging.plotting import plot_signals
+    from bayesftc.cosim.judging.figures.plotting import plot_signals
 
     with output.staged(folder) as stage:
         result.save(stage / output.RESULT)

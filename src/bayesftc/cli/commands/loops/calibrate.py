@@ -187,8 +187,8 @@ def _remedy(learner: object) -> str:
 
 def _write(folder: Path, scenario: str, reliability: Reliability, numbers: Mapping[str, Any]) -> None:
     """Write the reliability diagram and the numbers."""
-    from bayesftc.cosim.judging.panels import bare_figure
-    from bayesftc.cosim.judging.reliability_figure import plot_reliability
+    from bayesftc.cosim.judging.figures.panels import bare_figure
+    from bayesftc.cosim.judging.figures.reliability import plot_reliability
 
     picture = io.BytesIO()
     title = f"{Path(scenario).stem}: {numbers['samples']} samples of simulated faults"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, SENSOR_COLOURS
 from bayesftc.reproduce.experiments.bound.run import BOUND
 from bayesftc.reproduce.shared.drawing import SWITCHING_STYLES, figure, finish, legend
 from bayesftc.reproduce.shared.residuals import LABELS

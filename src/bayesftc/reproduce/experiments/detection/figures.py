@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.cosim.judging.plotting import BLUE, SENSOR_COLOURS
+from bayesftc.cosim.judging.figures.plotting import BLUE, SENSOR_COLOURS
 from bayesftc.reproduce.shared.calibration import OWN
 from bayesftc.reproduce.shared.drawing import (
     FURTHER_STYLE,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.panels import PANEL, broken, finish, make_panels, thin, thin_marks
+from bayesftc.cosim.judging.figures.panels import PANEL, broken, finish, make_panels, thin, thin_marks
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.findings import parts_of_device
+from bayesftc.cosim.judging.figures.panels import LETTER, WIDTH, name_spans, thin, thin_marks
+from bayesftc.cosim.judging.figures.plotting import BLACK, LINES, colour_of
 from bayesftc.cosim.judging.metrics import periods
-from bayesftc.cosim.judging.panels import LETTER, WIDTH, name_spans, thin, thin_marks
-from bayesftc.cosim.judging.plotting import BLACK, LINES, colour_of
+from bayesftc.cosim.judging.parts import parts_of_device
 from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, SensorSignals
 from bayesftc.cosim.types import Floats
 

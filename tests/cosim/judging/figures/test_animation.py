@@ -12,9 +12,9 @@ from PIL import Image
 
 from bayesftc import controllers, cosim, fmus
 from bayesftc.cosim.errors import ModelError, ResultFileError
-from bayesftc.cosim.judging import panels
-from bayesftc.cosim.judging.notebook import NotebookFigure, _Differences, _Pictures
-from bayesftc.cosim.judging.pictures import PICTURES
+from bayesftc.cosim.judging.figures import panels
+from bayesftc.cosim.judging.figures.notebook import NotebookFigure, _Differences, _Pictures
+from bayesftc.cosim.judging.figures.pictures import PICTURES
 
 MODEL = {"process_covariance": 0.001, "sensor_covariance": 1.0, "dt": 0.02}
 
@@ -67,7 +67,7 @@ def show(animation, k):
 
 
 def test_every_shipped_plant_has_a_picture_with_its_outputs_and_lengths():
-    assert set(PICTURES) == set(fmus.names()), "each shipped plant has a picture in cosim/judging/pictures.py"
+    assert set(PICTURES) == set(fmus.names()), "each shipped plant has a picture in cosim/judging/figures/pictures.py"
     for name, picture in PICTURES.items():
         plant = cosim.FMU(fmus.path(name))
         assert {*picture.variables, *picture.sized} <= {port.name for port in plant.outputs}

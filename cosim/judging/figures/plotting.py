@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesftc.cosim.judging.panels import PANEL, broken, finish, legend, make_panels, thin
+from bayesftc.cosim.judging.figures.panels import PANEL, broken, finish, legend, make_panels, thin
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 

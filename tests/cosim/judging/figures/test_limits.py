@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bayesftc.cosim.judging.limits import limit_axis, limits_with_samples, mark_cut
-from bayesftc.cosim.judging.loop_figure import draw_quantity
-from bayesftc.cosim.judging.panels import make_panels
+from bayesftc.cosim.judging.figures.limits import limit_axis, limits_with_samples, mark_cut
+from bayesftc.cosim.judging.figures.loop_figure import draw_quantity
+from bayesftc.cosim.judging.figures.panels import make_panels
 from bayesftc.cosim.judging.signals import QuantitySignals
 
 TIME = np.linspace(0.0, 10.0, 1001)

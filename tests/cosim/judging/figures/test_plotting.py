@@ -22,10 +22,10 @@ from bayesftc.controllers import (
     design,
 )
 from bayesftc.cosim.errors import UnknownNameError
-from bayesftc.cosim.judging.fault_panels import _logarithmic
-from bayesftc.cosim.judging.loop_figure import plot_run
+from bayesftc.cosim.judging.figures.fault_panels import _logarithmic
+from bayesftc.cosim.judging.figures.loop_figure import plot_run
+from bayesftc.cosim.judging.figures.plotting import MARKERS, plot_signals
 from bayesftc.cosim.judging.metrics import figures
-from bayesftc.cosim.judging.plotting import MARKERS, plot_signals
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.cosim.judging.signals import InputSignals
 from bayesftc.examples.cruise_control.cruise_control import cruise_control
@@ -171,7 +171,7 @@ def test_no_legend_covers_anything(signals):
 def test_no_state_of_pyplot_is_touched(python):
     code = (
         "import json, sys\nfrom bayesftc.scenario import load_scenario\nfrom bayesftc.cosim.judging.roles import loop_signals\n"
-        "from bayesftc.cosim.judging.loop_figure import plot_run\nloop = load_scenario('cruise_control').loop()\n"
+        "from bayesftc.cosim.judging.figures.loop_figure import plot_run\nloop = load_scenario('cruise_control').loop()\n"
         "plot_run(loop_signals(loop, loop.simulate(0.2, engine='interpreted'))).savefig('/dev/null', format='png')\n"
         "print(json.dumps('matplotlib.pyplot' in sys.modules))"
     )

@@ -13,12 +13,12 @@ import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.fault_panels import draw_detection, draw_shades, name_faults
-from bayesftc.cosim.judging.limits import limits_with_samples, mark_cut
-from bayesftc.cosim.judging.loop_figure import draw_quantity
-from bayesftc.cosim.judging.panels import finish, legend, player_figure, thin_marks
-from bayesftc.cosim.judging.pictures import PICTURES, Picture
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
+from bayesftc.cosim.judging.figures.fault_panels import draw_detection, draw_shades, name_faults
+from bayesftc.cosim.judging.figures.limits import limits_with_samples, mark_cut
+from bayesftc.cosim.judging.figures.loop_figure import draw_quantity
+from bayesftc.cosim.judging.figures.panels import finish, legend, player_figure, thin_marks
+from bayesftc.cosim.judging.figures.pictures import PICTURES, Picture
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -26,7 +26,7 @@ from bayesftc.cosim.types import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from bayesftc.cosim.judging.notebook import NotebookAnimation
+    from bayesftc.cosim.judging.figures.notebook import NotebookAnimation
     from bayesftc.cosim.run.result import Result
 
 MOST_SCALES = 4
@@ -39,7 +39,7 @@ HIDDEN = 0.88
 
 def animate_run(result: Result, frames: int, speed: float) -> NotebookAnimation:
     """Return the animation of `Result.animate`."""
-    from bayesftc.cosim.judging.notebook import NotebookAnimation
+    from bayesftc.cosim.judging.figures.notebook import NotebookAnimation
 
     if isinstance(frames, bool) or not isinstance(frames, int) or frames < 2:
         raise ModelError(f"animate has frames={frames!r}; give a whole number of at least 2.")

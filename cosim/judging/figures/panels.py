@@ -42,14 +42,14 @@ def shown_figure() -> Figure:
     """Return an empty figure of pyplot for a user: a notebook shows it below its cell, a script with ``pyplot.show()``."""
     from matplotlib import pyplot
 
-    from bayesftc.cosim.judging.notebook import NotebookFigure
+    from bayesftc.cosim.judging.figures.notebook import NotebookFigure
 
     return pyplot.figure(FigureClass=NotebookFigure) if _in_notebook() else pyplot.figure()
 
 
 def player_figure() -> Figure:
     """Return an empty figure for an animation, which a notebook shows only as a player: pyplot does not know it there."""
-    from bayesftc.cosim.judging.notebook import NotebookFigure
+    from bayesftc.cosim.judging.figures.notebook import NotebookFigure
 
     return NotebookFigure() if _in_notebook() else shown_figure()
 

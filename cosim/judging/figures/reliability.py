@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bayesftc.cosim.judging.plotting import BLUE
+from bayesftc.cosim.judging.figures.plotting import BLUE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

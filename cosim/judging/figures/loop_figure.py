@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.units import with_unit
-from bayesftc.cosim.judging.fault_panels import (
+from bayesftc.cosim.judging.figures.fault_panels import (
     detection_panels,
     deviation_panels,
     draw_shades,
     name_faults,
 )
-from bayesftc.cosim.judging.limits import limit_axis
-from bayesftc.cosim.judging.panels import broken, finish, legend, make_panels, thin, thin_marks, with_peaks
-from bayesftc.cosim.judging.plotting import BLACK, BLUE, MARKERS, colour_of
+from bayesftc.cosim.judging.figures.limits import limit_axis
+from bayesftc.cosim.judging.figures.panels import broken, finish, legend, make_panels, thin, thin_marks, with_peaks
+from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
