@@ -23,11 +23,8 @@ from .detection.residuals import (
     residual_features as residual_features,
     state_estimation_residual as state_estimation_residual,
 )
-from .diagnosis.diagnose import (
-    ModelFinding as ModelFinding,
-    diagnose as diagnose,
-    diagnose_recording as diagnose_recording,
-)
+from .diagnosis.diagnose import diagnose as diagnose, diagnose_recording as diagnose_recording
+from .diagnosis.finding import ModelFinding as ModelFinding
 from .diagnosis.plant_check import (
     ModelMismatchWarning as ModelMismatchWarning,
     compare_with_plant as compare_with_plant,

@@ -73,7 +73,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("controllers.active_inference",),
     ("controllers.registry",),
     ("controllers.detection",),
-    ("controllers.diagnosis",),
+    ("controllers.diagnosis", "controllers.diagnosis.words"),
     ("controllers.design",),
     ("controllers",),
     ("scenario", "scenario.live"),

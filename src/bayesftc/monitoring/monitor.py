@@ -14,7 +14,8 @@ import numpy as np
 
 from bayesftc.controllers.bayesian.block import extended_mean
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.diagnosis.diagnose import ModelFinding, diagnose_inputs
+from bayesftc.controllers.diagnosis.diagnose import diagnose_inputs
+from bayesftc.controllers.diagnosis.finding import ModelFinding
 from bayesftc.controllers.estimation.absurd import EXPLICABLE
 from bayesftc.controllers.learning.learn_modes import LearnedModes, RecordedRun, learn_modes
 from bayesftc.controllers.models.checks import as_vector

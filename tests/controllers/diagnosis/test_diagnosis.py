@@ -12,9 +12,10 @@ from scipy.linalg import solve_discrete_are
 from wrong_models import LEARNERS, Case, cases, loop, parts, run
 
 from bayesftc import controllers, cosim, fmus
-from bayesftc.controllers.diagnosis.diagnose import _without_blamed, diagnose_inputs, diagnose_recording
+from bayesftc.controllers.diagnosis.blamed import _without_blamed
+from bayesftc.controllers.diagnosis.diagnose import diagnose_inputs, diagnose_recording
 from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
-from bayesftc.controllers.diagnosis.words import faulty_sensors, moved_at_times, sentence
+from bayesftc.controllers.diagnosis.words.sentences import faulty_sensors, moved_at_times, sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, UNCERTAIN, WINDOW
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.cosim.errors import ModelError

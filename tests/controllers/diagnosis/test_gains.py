@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.diagnosis.words import sentence
-from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
+from bayesftc.controllers.diagnosis.words.inputs import of_inputs
+from bayesftc.controllers.diagnosis.words.sentences import sentence
 from bayesftc.cosim.diagram.wiring import is_linear
 
 NAMES = controllers.SignalNames(controls=["heat", "feed"], sensors=["T", "T", "c", "c"], states=["T", "c"])

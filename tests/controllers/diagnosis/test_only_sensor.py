@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesftc import controllers, cosim
-from bayesftc.controllers.diagnosis.diagnose import best_explanations
+from bayesftc.controllers.diagnosis.best import best_explanations
 
 MEASURED, STD, NOISE = ["position", "speed"], [0.01, 0.05], 0.05
 

@@ -5,7 +5,7 @@ import pytest
 
 from bayesftc import controllers
 from bayesftc.controllers.diagnosis.changes import _solved
-from bayesftc.controllers.diagnosis.words import sentence
+from bayesftc.controllers.diagnosis.words.sentences import sentence
 
 STD = np.array([0.1, 0.1, 0.03, 0.2])
 PLAIN = controllers.LinearModel([[1.0, 0.1], [0.0, 0.97]], [[0.005], [0.1]], np.eye(2)[[0] * 4], 1e-6, STD**2, dt=0.1)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesftc.controllers.diagnosis.candidates import AS_STATED, EFFECT
-from bayesftc.controllers.diagnosis.phrases import (
+from bayesftc.controllers.diagnosis.words.inputs import of_inputs
+from bayesftc.controllers.diagnosis.words.phrases import (
     STUCK_AT,
     beyond,
     change,
@@ -21,7 +22,6 @@ from bayesftc.controllers.diagnosis.phrases import (
     since,
     strongly,
 )
-from bayesftc.controllers.diagnosis.words_of_inputs import of_inputs
 from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
 from bayesftc.cosim.base.numbers import counted
 from bayesftc.cosim.base.units import behind

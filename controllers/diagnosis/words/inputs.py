@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.phrases import STUCK_AT, beyond, gains, since, strongly
+from bayesftc.controllers.diagnosis.words.phrases import STUCK_AT, beyond, gains, since, strongly
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Sentences on a wrong model, and on faulty sensors that look like one."""
