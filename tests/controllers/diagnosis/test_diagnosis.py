@@ -310,7 +310,7 @@ def test_a_gust_that_lasts_is_no_actuator_that_fails(error, effort, seed):
     assert (found.kind, found.others) == ("noise", ())
     estimated = float(found.sentence.partition("disturbance=")[2].split()[0])
     assert estimated**0.5 == pytest.approx(34.6 * 0.01 / 1.5, rel=0.3)  # what the gust changes by in a sample
-    share = float(re.search("ll other process noise seems to have ([0-9.e-]+) times", found.sentence)[1])
+    share = float(re.search("ll other process noise seems to be ([0-9.e-]+) times", found.sentence)[1])
     assert finding(5.0 * share, disturbance=estimated) is None
 
 
