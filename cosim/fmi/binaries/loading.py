@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import re
 import threading
 from pathlib import Path, PurePosixPath
 
@@ -126,7 +127,14 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
         with Surroundings():
             slave = binding(**settings)
             keep = ctypes.CDLL(str(folder / entry))
-    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception; ctypes AttributeError for a missing function
+    except AttributeError as error:  # of ctypes
+        name = re.search(r"\w*fmi\d?[A-Z]\w*", str(error))
+        what = f"the function {name[0]}" if name else "a function"
+        raise FMUError(
+            f"The binary of the FMU {archive.path} cannot be loaded: it lacks {what}. FMI {description.fmi_version} requires it, "
+            "even if it only returns an error. Ask the maker of the FMU for a complete binary."
+        ) from None
+    except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception
         raise FMUError(
             f"The binary of the FMU {archive.path} cannot be loaded: {_reason(error, folder)}. Install the libraries that it "
             "needs, or ask its maker for a binary for this system."
