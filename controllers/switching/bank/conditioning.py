@@ -11,11 +11,14 @@ from functools import cache
 
 from bayesftc.controllers.switching.bank.hypothesis import correct, expect
 from bayesftc.controllers.switching.bank.layout import BY_COURSE, BY_MODES, Layout
-from bayesftc.controllers.switching.mode_kernels import log_density
+from bayesftc.controllers.switching.mode_kernels import WEIGHT, log_density, wider
 from bayesftc.controllers.switching.sensor_kernels import (
     DENSITY,
+    FIRST,
     FIRST_SETTINGS,
+    HEALTHY,
     LAST,
+    LEAST,
     MODE_ARRIVES,
     MODE_MISSING,
     NOISE,
@@ -23,11 +26,14 @@ from bayesftc.controllers.switching.sensor_kernels import (
     TRUSTED,
     held,
 )
-from bayesftc.cosim.ops import independent, log, maximum, minimum, select
+from bayesftc.cosim.ops import exp, independent, log, maximum, minimum, select
 
 ABSURD = 1e12
 """Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
 would move each other away."""
+
+MOST_GAIN = 30.0
+"""Largest logarithm of the factor by which a sensor is judged healthier given the others."""
 
 OWN_SHARE = 1e-9
 """Least ratio of a reading's posterior variance to that of its sensor's noise; with less, rounding would decide."""
@@ -127,7 +133,8 @@ def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Call
     """Return the step function that weighs a sensor's modes in a hypothesis, by ``weigh_sensor``."""
     sensor, row_length, none, stride, kept = layout.sensor, layout.row, layout.first, layout.length, layout.kept
     m, readings, reading, repeated = layout.m, layout.readings, layout.reading, layout.repeated
-    logp, factor = layout.grow + layout.hypotheses, layout.grow + 2 * layout.hypotheses
+    H, judgements = layout.hypotheses, layout.judgements
+    logp, factor = layout.grow + H, layout.grow + 2 * H
 
     def weigh_modes(h, i, sample, memory, settings):
         here, place = readings + h * reading, none + h * stride + kept + i * sensor
@@ -147,6 +154,8 @@ def make_weigh_modes(layout: Layout, weigh_sensor: Callable[..., float]) -> Call
         )
         memory[logp + h] = memory[logp + h] + density
         memory[factor + h] = memory[factor + h] * memory[place + DENSITY]
+        memory[judgements + i * H + h] = memory[here + ERROR] * memory[here + ERROR]
+        memory[judgements + (m + i) * H + h] = memory[here + TOTAL]
 
     return weigh_modes
 
@@ -199,12 +208,15 @@ def make_learn(layout: Layout, offset: int) -> Callable[..., None]:
 
 
 @cache
-def make_square(layout: Layout) -> Callable[..., None]:
-    """Return the step function that estimates the square of each sensor's noise in each hypothesis, from all sensors.
+def make_review(layout: Layout) -> Callable[..., None]:
+    """Return the step function that judges each sensor anew in each hypothesis, by its reading given all other sensors.
 
-    It is the exact posterior where no sample counts as a burst; the weights of these still depend on the order of the sensors.
-    Estimated as the sensors come, that of the first one would know nothing of the others at this sample: with bursts left out, it
-    was learned smaller, and the sensor believed.
+    As the sensors come, the first one is judged without the others. After a sudden load it was therefore blamed, although the
+    others agreed with it. If the sample of a healthy sensor is more probable given the others than it was, the sensor's modes get
+    their probabilities given the others (`make_revise`). The belief keeps the weight with which it was corrected.
+
+    The function also estimates the square of each sensor's noise: the exact posterior where no sample counts as a burst. With
+    bursts left out, that of the first sensor was learned smaller, and the sensor believed.
     """
     m, sensor, squares, judged = layout.m, layout.sensor, layout.squares, layout.judged
     none, stride, kept, readings, reading = (
@@ -216,6 +228,7 @@ def make_square(layout: Layout) -> Callable[..., None]:
     )
     without, with_offset, H = layout.without_offset, layout.with_offset or (0,), layout.hypotheses
     expect_plain, expect_offset = (make_expect(layout, offset) for offset in (0, 1))
+    revise = make_revise(layout)
 
     def write(h, i, sample, memory):
         here, by = readings + h * reading, judged[h * m + i]
@@ -229,8 +242,9 @@ def make_square(layout: Layout) -> Callable[..., None]:
             spread, error = apart * memory[here + SPREAD], apart * memory[here + ERROR]
             part = variance / (spread + variance)
             memory[squares + h * m + i] = part * (part * error * error + spread)
+            memory[here + ERROR], memory[here + TOTAL] = error, spread + variance
 
-    def square(sample, C, memory):
+    def review(sample, C, memory):
         for i in range(m):
             for x in range(len(without)):
                 expect_plain(without[x], i, sample, C, memory)
@@ -238,5 +252,51 @@ def make_square(layout: Layout) -> Callable[..., None]:
             for x in range(H - len(without)):
                 expect_offset(with_offset[x], i, sample, C, memory)
                 write(with_offset[x], i, sample, memory)
+            revise(i, sample, memory)
 
-    return square
+    return review
+
+
+@cache
+def make_revise(layout: Layout) -> Callable[..., None]:
+    """Return the step function that judges a sensor anew in all hypotheses, where it fits better to the others than it did.
+
+    Where it fits worse, nothing changes: the others may have followed a faulty sensor. Only the density without a fault changes.
+    That of a noisier sensor is wide, and all others do not depend on the error in this way.
+    """
+    m, K, H, modes, width = layout.m, len(layout.kinds), layout.hypotheses, layout.modes, layout.width
+    sensor, none, stride, kept, repeated = layout.sensor, layout.first, layout.length, layout.kept, layout.repeated
+    readings, reading, judgements, judged = layout.readings, layout.reading, layout.judgements, layout.judged
+    process, later = layout.process, 1 + m * K
+
+    def revise_one(h, i, sample, memory):
+        here, place = readings + h * reading, none + h * stride + kept + i * sensor
+        square, total = memory[here + ERROR] * memory[here + ERROR], memory[here + TOTAL]
+        before, variance = memory[judgements + i * H + h], memory[judgements + (m + i) * H + h]
+        noise, doubt = sample.nominal[i, i] * memory[i * sensor + NOISE], 0.5 / memory[i * sensor + NOISE_SHAPE]
+        gain = wider(square, total, noise, doubt) - wider(before, variance, noise, doubt)
+        gain = gain + 0.5 * (before / variance - square / total - log(total / variance))
+        # A repetition of a coarse sensor is as probable if it is frozen.
+        counts = select(memory[repeated + m + i] > 0.0, 0.0, sample.present[i])
+        ratio = exp(minimum(maximum(gain * counts, 0.0), MOST_GAIN))
+        healthy = memory[place + HEALTHY]
+        part = 1.0 / (1.0 + healthy * (ratio - 1.0))
+        memory[place + HEALTHY] = healthy * ratio * part
+        memory[place + TRUSTED] = (memory[place + TRUSTED] + healthy * (ratio - 1.0)) * part
+        for k in range(modes):
+            weight = place + FIRST + k * width + WEIGHT
+            memory[weight] = maximum(memory[weight] * part, LEAST)
+
+    def revise(i, sample, memory):
+        revise_one(0, i, sample, memory)
+        for j in range(m):
+            if i != j:
+                for q in independent(K):
+                    revise_one(1 + j * K + q, i, sample, memory)
+        for x in range(process - later):
+            if judged[(later + x) * m + i] == BY_MODES:
+                revise_one(later + x, i, sample, memory)
+        for h in independent(process, H):
+            revise_one(h, i, sample, memory)
+
+    return revise

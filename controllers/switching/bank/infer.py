@@ -19,8 +19,9 @@ earlier ones after its first sample. The end of a common offset remains a hypoth
 for a while (the one more). Faults of actuators and the process also begin while a sensor has an offset, which then becomes one of
 its modes (`merges.make_gather`). Beliefs with the same hypothesis are merged by moments, as in an interacting-multiple-model
 filter (Blom and Bar-Shalom 1988); only a vague state of the pool counts less in the hypothesis without a fault (`onsets.py`).
-Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of their samples. That of an
-unmodelled course is limited while the process is quieter than the model says (`calm.py`).
+Then each hypothesis is conditioned on the sensors one after the other, and gets the probability of their samples. At last each
+sensor is judged anew given all others (`conditioning.make_review`). The probability of an unmodelled course is limited while the
+process is quieter than the model says (`calm.py`).
 """
 
 from __future__ import annotations

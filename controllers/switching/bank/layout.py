@@ -327,9 +327,14 @@ class Layout:
         return self.courses + self.m * len(self.lost) * self.course
 
     @property
+    def judgements(self) -> int:
+        """Place of each sensor's squared error by which each hypothesis judged it, followed by those errors' variances."""
+        return self.squares + self.hypotheses * self.m
+
+    @property
     def repeated(self) -> int:
         """Place of each sensor's density factor of a repeated sample, of its `indifferent` error, of a freeze's factor."""
-        return self.squares + self.hypotheses * self.m
+        return self.judgements + 2 * self.hypotheses * self.m
 
     @property
     def readings(self) -> int:

@@ -7,7 +7,7 @@ from functools import cache
 
 from bayesftc.controllers.precision.base import NAN
 from bayesftc.controllers.switching.bank.calm import make_credit, make_notice
-from bayesftc.controllers.switching.bank.conditioning import ABSURD, make_condition, make_square
+from bayesftc.controllers.switching.bank.conditioning import ABSURD, make_condition, make_review
 from bayesftc.controllers.switching.bank.hypothesis import OFFSET_AGE, STATE, expect
 from bayesftc.controllers.switching.bank.layout import (
     ABSOLUTE,
@@ -78,7 +78,7 @@ def make_weigh(
     logp, factor, scratch = layout.grow + H, layout.grow + 2 * H, layout.scratch
     U, lost = len(layout.lost), layout.lost or (0,)
     courses, course, repeated, quantity = layout.courses, layout.course, layout.repeated, layout.quantity
-    condition, square = make_condition(layout, weigh_alone, weigh_other), make_square(layout)
+    condition, review = make_condition(layout, weigh_alone, weigh_other), make_review(layout)
     notice, credit = make_notice(layout), make_credit(layout)
 
     def weigh(sample, C, memory, settings):
@@ -102,7 +102,7 @@ def make_weigh(
             condition(i, sample, C, memory, settings)
             if U > 0:
                 notice(i, sample.present[i], sample.nominal[i, i], memory)
-        square(sample, C, memory)
+        review(sample, C, memory)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
