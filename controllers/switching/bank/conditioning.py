@@ -24,9 +24,10 @@ from bayesftc.controllers.switching.sensor_kernels import (
     NOISE,
     NOISE_SHAPE,
     TRUSTED,
+    WIDTH,
     held,
 )
-from bayesftc.cosim.ops import exp, independent, log, maximum, minimum, select
+from bayesftc.cosim.ops import absolute, exp, independent, log, maximum, minimum, select
 
 ABSURD = 1e12
 """Largest ratio of an innovation's variance to the sensor's up to which larger innovations are learned from; beyond, hypotheses
@@ -244,7 +245,7 @@ def make_review(layout: Layout) -> Callable[..., None]:
             memory[squares + h * m + i] = part * (part * error * error + spread)
             memory[here + ERROR], memory[here + TOTAL] = error, spread + variance
 
-    def review(sample, C, memory):
+    def review(sample, C, memory, settings):
         for i in range(m):
             for x in range(len(without)):
                 expect_plain(without[x], i, sample, C, memory)
@@ -252,7 +253,7 @@ def make_review(layout: Layout) -> Callable[..., None]:
             for x in range(H - len(without)):
                 expect_offset(with_offset[x], i, sample, C, memory)
                 write(with_offset[x], i, sample, memory)
-            revise(i, sample, memory)
+            revise(i, sample, memory, settings)
 
     return review
 
@@ -261,23 +262,24 @@ def make_review(layout: Layout) -> Callable[..., None]:
 def make_revise(layout: Layout) -> Callable[..., None]:
     """Return the step function that judges a sensor anew in all hypotheses, where it fits better to the others than it did.
 
-    Where it fits worse, nothing changes: the others may have followed a faulty sensor. Only the density without a fault changes.
-    That of a noisier sensor is wide, and all others do not depend on the error in this way.
+    Where it fits worse, nothing changes: the others may have followed a faulty sensor. Neither does a repeated sample, which may be
+    a freeze. Only the density without a fault changes. That of a noisier sensor is wide, and all others do not depend on the
+    error in this way.
     """
     m, K, H, modes, width = layout.m, len(layout.kinds), layout.hypotheses, layout.modes, layout.width
-    sensor, none, stride, kept, repeated = layout.sensor, layout.first, layout.length, layout.kept, layout.repeated
+    sensor, none, stride, kept, row = layout.sensor, layout.first, layout.length, layout.kept, layout.row
     readings, reading, judgements, judged = layout.readings, layout.reading, layout.judgements, layout.judged
     process, later = layout.process, 1 + m * K
 
-    def revise_one(h, i, sample, memory):
+    def revise_one(h, i, sample, memory, settings):
         here, place = readings + h * reading, none + h * stride + kept + i * sensor
         square, total = memory[here + ERROR] * memory[here + ERROR], memory[here + TOTAL]
         before, variance = memory[judgements + i * H + h], memory[judgements + (m + i) * H + h]
         noise, doubt = sample.nominal[i, i] * memory[i * sensor + NOISE], 0.5 / memory[i * sensor + NOISE_SHAPE]
         gain = wider(square, total, noise, doubt) - wider(before, variance, noise, doubt)
         gain = gain + 0.5 * (before / variance - square / total - log(total / variance))
-        # A repetition of a coarse sensor is as probable if it is frozen.
-        counts = select(memory[repeated + m + i] > 0.0, 0.0, sample.present[i])
+        repeats = absolute(sample.y[i] - memory[i * sensor + LAST]) <= 0.5 * settings[i * row + WIDTH]
+        counts = select(repeats, 0.0, sample.present[i])
         ratio = exp(minimum(maximum(gain * counts, 0.0), MOST_GAIN))
         healthy = memory[place + HEALTHY]
         part = 1.0 / (1.0 + healthy * (ratio - 1.0))
@@ -287,16 +289,16 @@ def make_revise(layout: Layout) -> Callable[..., None]:
             weight = place + FIRST + k * width + WEIGHT
             memory[weight] = maximum(memory[weight] * part, LEAST)
 
-    def revise(i, sample, memory):
-        revise_one(0, i, sample, memory)
+    def revise(i, sample, memory, settings):
+        revise_one(0, i, sample, memory, settings)
         for j in range(m):
             if i != j:
                 for q in independent(K):
-                    revise_one(1 + j * K + q, i, sample, memory)
+                    revise_one(1 + j * K + q, i, sample, memory, settings)
         for x in range(process - later):
             if judged[(later + x) * m + i] == BY_MODES:
-                revise_one(later + x, i, sample, memory)
+                revise_one(later + x, i, sample, memory, settings)
         for h in independent(process, H):
-            revise_one(h, i, sample, memory)
+            revise_one(h, i, sample, memory, settings)
 
     return revise

@@ -102,7 +102,7 @@ def make_weigh(
             condition(i, sample, C, memory, settings)
             if U > 0:
                 notice(i, sample.present[i], sample.nominal[i, i], memory)
-        review(sample, C, memory)
+        review(sample, C, memory, settings)
         for i in range(m):
             for u in range(U):
                 h, k = first_lost + i * U + u, FIRST_SETTINGS + lost[u] * width_of_settings
