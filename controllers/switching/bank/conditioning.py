@@ -262,8 +262,8 @@ def make_review(layout: Layout) -> Callable[..., None]:
 def make_revise(layout: Layout) -> Callable[..., None]:
     """Return the step function that judges a sensor anew in all hypotheses, where it fits better to the others than it did.
 
-    Where it fits worse, nothing changes: the others may have followed a faulty sensor. Neither does a repeated sample, which may be
-    a freeze. Only the density without a fault changes. That of a noisier sensor is wide, and all others do not depend on the
+    Where it fits worse, nothing changes: the others may have followed a faulty sensor. Neither does a repeated sample, which may
+    be a freeze. Only the density without a fault changes. That of a noisier sensor is wide, and all others do not depend on the
     error in this way.
     """
     m, K, H, modes, width = layout.m, len(layout.kinds), layout.hypotheses, layout.modes, layout.width
