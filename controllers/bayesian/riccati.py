@@ -107,6 +107,8 @@ def regulate(model: LinearModel, outputs: Floats, output_cost: Floats, input_cos
         gain = np.linalg.solve(input_cost + B.T @ solution @ B, B.T @ solution @ A)
         P = np.asarray(_of_law(A, B, gain, cost, input_cost, solution), dtype=np.float64)
         gain = np.asarray(np.linalg.solve(input_cost + B.T @ P @ B, B.T @ P @ A), dtype=np.float64)
+    except ModelError:
+        raise
     except (LinAlgError, ValueError) as error:
         raise ModelError(
             f"No feedback law could be computed for these weights ({str(error).rstrip('.')}). Bring the sizes of the states and "

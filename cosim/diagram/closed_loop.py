@@ -39,6 +39,7 @@ from bayesftc.cosim.diagram.wiring import (
     preview_time,
     warn_of_held_inputs,
     warn_of_other_signals,
+    warn_of_rounded_delays,
     warn_of_start,
     with_rates,
     wrong_goals,
@@ -229,7 +230,9 @@ def closed_loop(
     check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])
     warn_without_effect([*unread, *_unconnected(diagram, blocks or {})])
-    return with_rates(diagram.build())
+    loop = with_rates(diagram.build())
+    warn_of_rounded_delays(loop)
+    return loop
 
 
 def check_parts(
@@ -590,6 +593,10 @@ def _references(
     several = list(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else [given]
     blocks: list[Any] = [Constant(real(r)) if isinstance(r, Real) else r for r in several]
     for block in blocks:
+        if isinstance(block, Mapping):
+            raise ModelError(
+                "reference is a mapping. Give a list with a source for each goal, in the order of the goals."
+            )
         _check_source("reference", block)
     names = ["reference" if len(blocks) == 1 else f"reference_{i}" for i in range(len(blocks))]
     time = preview_time(controller, step)

@@ -244,6 +244,19 @@ def healthy_origin(diagram: Diagram, node: Node, port: Port, element: int) -> tu
     )
 
 
+def warn_of_rounded_delays(diagram: Diagram) -> None:
+    """Warn of each dead time that is not a multiple of the step; those of slow sensors are rounded to their samples instead."""
+    for node in diagram.nodes:
+        fault, step = node.block, float(diagram.step * node.every)
+        if is_dead_time(fault) and fault.spacing == 1:  # type: ignore[attr-defined]
+            late = fault.numbers(diagram.step * node.every)[0] * step  # type: ignore[attr-defined]
+            if abs(late - fault.delay) > 0.01 * step:  # type: ignore[attr-defined]
+                warn_user(
+                    f"{node.name!r} delays by {late:g} s, not by {fault.delay:g} s: "  # type: ignore[attr-defined]
+                    f"a delay is a whole number of steps, here of {step:g} s."
+                )
+
+
 def is_dead_time(fault: Any) -> bool:
     """Return whether a fault is a part of the plant: a delay that is always present."""
     return isinstance(fault, Delay) and fault.permanent

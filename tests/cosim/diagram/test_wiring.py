@@ -6,8 +6,9 @@ import control
 import numpy as np
 import pytest
 
-from bayesftc import cosim
+from bayesftc import controllers, cosim
 from bayesftc.controllers import BayesianController, LinearModel, LQGController, SwitchingPrecision
+from bayesftc.cosim.errors import ModelError
 from bayesftc.cosim.judging.metrics import figures
 from bayesftc.cosim.judging.roles import loop_signals, signals_of
 
@@ -114,3 +115,34 @@ def test_a_sensor_of_many_signals_has_its_number_as_name():
         sensors=cosim.Sensors(1, 0.1, signals=4, matrix=np.ones((1, 4))),
     )  # fmt: skip
     assert [quantity.name for quantity in loop_signals(loop, loop.simulate(1.0)).quantities] == ["sensor 0"]
+
+
+@pytest.mark.parametrize(("delay", "late"), [(0.1, None), (0.13, "0.1"), (0.16, "0.2")])
+def test_a_dead_time_between_two_steps_is_named(delay, late, recwarn):
+    """A delay of 7 s at steps of 5 s became 5 s without a word, and margins were those of 5 s."""
+    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["u"], outputs=["y"])
+    controller = controllers.design(
+        plant,
+        measured="y",
+        actuated="u",
+        sensors=2,
+        sensor_std=0.1,
+        dt=0.1,
+        acceptable_error=0.5,
+        acceptable_control=1.0,
+    )
+    cosim.closed_loop(
+        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=0.0,
+        input_faults={"u": [cosim.Delay(delay=delay)]},
+    )  # fmt: skip
+    said = [str(w.message) for w in recwarn]
+    expected = f"'u_delay_0' delays by {late} s, not by {delay:g} s: a delay is a whole number of steps, here of 0.1 s."
+    assert [text for text in said if "whole number" in text] == ([expected] if late else [])
+
+
+def test_references_are_no_mapping():
+    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["u"], outputs=["y"])
+    controller = controllers.design(plant, measured="y", actuated="u", sensors=2, sensor_std=0.1, dt=0.1)
+    settings = {"control": "u", "measured": "y", "sensors": cosim.Sensors(2, 0.1)}
+    with pytest.raises(ModelError, match="Give a list with a source for each goal"):
+        cosim.closed_loop(plant, controller, reference={"y": 0.0}, **settings)

@@ -8,7 +8,7 @@ import pytest
 
 from bayesftc.cosim.judging.blame import advice_on, blamed_together
 from bayesftc.cosim.judging.figures.fault_panels import draw_detection
-from bayesftc.cosim.judging.findings import findings, onset_of_alarm
+from bayesftc.cosim.judging.findings import findings, numbers_of, onset_of_alarm
 from bayesftc.cosim.judging.parts import HOLD, HOLD_SAMPLES, MOST_HOLD_SAMPLES, parts, usual_hold
 from bayesftc.cosim.judging.signals import LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.run.summary import pauses
@@ -232,3 +232,15 @@ def test_sensors_that_agree_against_another_that_is_blamed_as_well_speak_against
     (note,) = notes["model" if known else "named"]
     assert note.startswith("sensors 1 and 2 of v agree but are blamed from t = 80 s")
     assert ("and sensor 0, which has a fault, is believed" in note) == (not known)
+
+
+def test_a_missing_sample_is_no_false_alarm():
+    """A dead time of 30 s of all sensors was 4 false alarms beside a share of 0 % of blamed samples."""
+    signals = loop(
+        course((FROZEN, 5), (np.eye(4)[0], 20), (FROZEN, 5), (np.eye(4)[0], 5), (FROZEN, 3), (np.eye(4)[0], 60))
+    )
+    (sensor,) = signals.sensors
+    samples = np.zeros(98)
+    samples[:5] = samples[25:30] = np.nan
+    signals = replace(signals, sensors=(replace(sensor, samples=samples, faulty=np.zeros(98, bool)),))
+    assert numbers_of(signals)["alarms"]["false_alarms"] == 1
