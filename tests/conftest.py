@@ -72,6 +72,14 @@ def pytest_collection_modifyitems(items):
                 item.add_marker(pytest.mark.slow)
 
 
+@pytest.fixture(autouse=True)
+def closed_figures():
+    """Close the figures of a test. python-control opens them by pyplot, which warns of more than 20, in any test."""
+    yield
+    if pyplot := sys.modules.get("matplotlib.pyplot"):
+        pyplot.close("all")
+
+
 def assert_bits(a, b, what=""):
     a, b = np.asarray(a), np.asarray(b)
     assert a.shape == b.shape, (what, a.shape, b.shape)
