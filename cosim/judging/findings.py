@@ -128,7 +128,9 @@ def _alarms_of(signals: LoopSignals, step: float | None) -> dict[str, Any] | Non
     for sensor in signals.sensors:
         if sensor.alarm is not None and sensor.faulty is not None:
             score = sensor.alarm.astype(float) if sensor.probability is None else sensor.probability
-            scores.append(score if sensor.missing is None else _given(score, sensor.missing & ~sensor.pauses))
+            if sensor.missing is not None:  # the alarm of a dropout begins in its fault, and may outlast it
+                score = _given(score, sensor.missing & ~sensor.pauses & ~sensor.faulty)
+            scores.append(score)
             faulty.append(sensor.faulty)
     if not scores or step is None:
         return None

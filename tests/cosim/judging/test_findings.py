@@ -244,3 +244,12 @@ def test_a_missing_sample_is_no_false_alarm():
     samples[:5] = samples[25:30] = np.nan
     signals = replace(signals, sensors=(replace(sensor, samples=samples, faulty=np.zeros(98, bool)),))
     assert numbers_of(signals)["alarms"]["false_alarms"] == 1
+
+
+def test_an_alarm_that_outlasts_a_dropout_is_not_false():
+    """The first sample after the dropout was counted as an alarm of its own."""
+    signals = loop(course((np.eye(4)[0], 20), (FROZEN, 11), (np.eye(4)[0], 60)))
+    samples, faulty = np.zeros(91), np.zeros(91, bool)
+    samples[20:30], faulty[20:30] = np.nan, True
+    signals = replace(signals, sensors=(replace(signals.sensors[0], samples=samples, faulty=faulty),))
+    assert numbers_of(signals)["alarms"]["false_alarms"] == 0
