@@ -88,7 +88,7 @@ def best_explanations(
     each: bool = False,
     linear: bool = False,
 ) -> list[Explanation]:
-    """Return the best explanation of a recording, then those nearly as good; see `_finding` for the arguments."""
+    """Return the best explanation of a recording, then those nearly as good; see `diagnose._finding` for the arguments."""
     samples = np.asarray(y, float).reshape(-1, model.sensors)[:MOST_SAMPLES]
     samples = np.where(np.abs(samples) < LARGEST, samples, np.nan)
     controls = np.nan_to_num(np.asarray(u, float).reshape(-1, model.controls)[: len(samples)]).clip(-LARGEST, LARGEST)

@@ -243,12 +243,11 @@ def delay_margin(loop: Matrices, reached: Callable[[float], Floats], start: floa
             np.concatenate([each + _later(turned(each, angles, columns) - 1.0, angles) for each in places])
         )
 
-    low, high = start, np.inf
-    for place in candidates():
-        if lost(place):
-            high = place
+    low = start
+    for high in candidates():
+        if lost(high):
             break
-        low = place
+        low = high
     else:
         return np.inf
     while high - low > NEAR:

@@ -176,21 +176,8 @@ def with_rates(diagram: Diagram, before: Diagram | None = None) -> Diagram:
             fault = blocks[name]
             if isinstance(fault, Fault) and fault.sensor == i:
                 blocks[name] = replace(fault, spacing=every)
-                _warn_of_rounding(name, blocks[name], diagram.step)
     blocks[controller.name] = for_rates(controller.block, rates, controller.every, former)
     return diagram.rewired(blocks)
-
-
-def _warn_of_rounding(name: str, fault: Block, step: Fraction) -> None:
-    """Warn if a delay of a slow sensor is not a multiple of the time between its samples: a fault acts on the samples alone."""
-    if isinstance(fault, Delay) and fault.spacing > 1:
-        late, between = float(fault.numbers(step)[0] * step), float(fault.spacing * step)
-        if abs(late - fault.delay) > 0.5 * float(step):
-            warn_user(
-                f"{name!r} delays sensor {fault.sensor} by {fault.delay:g} s, but the sensor has a sample every {between:g} s, "
-                f"and a fault acts on its samples: they are {late:g} s late. Give a multiple of {between:g} s, or write the dead "
-                "time into the plant."
-            )
 
 
 def for_rates(controller: Block, rates: Sequence[int], steps: int = 1, former: Sequence[int] = ()) -> Block:
@@ -245,16 +232,25 @@ def healthy_origin(diagram: Diagram, node: Node, port: Port, element: int) -> tu
 
 
 def warn_of_rounded_delays(diagram: Diagram) -> None:
-    """Warn of each dead time that is not a multiple of the step; those of slow sensors are rounded to their samples instead."""
+    """Warn of each dead time that is no multiple of the step, and of each delay that is none of a slow sensor's sample time."""
     for node in diagram.nodes:
-        fault, step = node.block, float(diagram.step * node.every)
-        if is_dead_time(fault) and fault.spacing == 1:  # type: ignore[attr-defined]
-            late = fault.numbers(diagram.step * node.every)[0] * step  # type: ignore[attr-defined]
-            if abs(late - fault.delay) > 0.01 * step:  # type: ignore[attr-defined]
-                warn_user(
-                    f"{node.name!r} delays by {late:g} s, not by {fault.delay:g} s: "  # type: ignore[attr-defined]
-                    f"a delay is a whole number of steps, here of {step:g} s."
-                )
+        fault, step = node.block, diagram.step * node.every
+        if not isinstance(fault, Delay) or (fault.spacing == 1 and not fault.permanent):
+            continue
+        late, between = float(fault.numbers(step)[0] * step), float(fault.spacing * step)
+        if abs(late - fault.delay) <= (0.01 if fault.spacing == 1 else 0.5) * float(step):
+            continue
+        if fault.spacing == 1:
+            warn_user(
+                f"{node.name!r} delays by {late:g} s, not by {fault.delay:g} s: "
+                f"a delay is a whole number of steps, here of {between:g} s."
+            )
+        else:
+            warn_user(
+                f"{node.name!r} delays sensor {fault.sensor} by {fault.delay:g} s, but the sensor has a sample every "
+                f"{between:g} s, and a fault acts on its samples: they are {late:g} s late. Give a multiple of {between:g} s, or "
+                "write the dead time into the plant."
+            )
 
 
 def is_dead_time(fault: Any) -> bool:

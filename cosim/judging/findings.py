@@ -15,7 +15,7 @@ from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.judging.alarms import judge_alarms
 from bayesftc.cosim.judging.metrics import figures, periods
 from bayesftc.cosim.judging.parts import Part, parts_of_device, score_of, usual_hold
-from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, Flags, LoopSignals, QuantitySignals, SensorSignals
+from bayesftc.cosim.judging.signals import ALARM, ActuatorSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -128,19 +128,15 @@ def _alarms_of(signals: LoopSignals, step: float | None) -> dict[str, Any] | Non
     for sensor in signals.sensors:
         if sensor.alarm is not None and sensor.faulty is not None:
             score = sensor.alarm.astype(float) if sensor.probability is None else sensor.probability
-            if sensor.missing is not None:  # the alarm of a dropout begins in its fault, and may outlast it
-                score = _given(score, sensor.missing & ~sensor.pauses & ~sensor.faulty)
+            if (
+                sensor.missing is not None
+            ):  # blames no sensor; the alarm of a dropout begins in its fault, and may outlast it
+                score = np.where(sensor.missing & ~sensor.pauses & ~sensor.faulty, np.nan, score)
             scores.append(score)
             faulty.append(sensor.faulty)
     if not scores or step is None:
         return None
     return judge_alarms(np.transpose(scores), np.transpose(faulty), threshold=ALARM, step=step).to_dict()
-
-
-def _given(score: Floats, missing: Flags) -> Floats:
-    """Return a score that stays where a sample is missing, 0 before the first one: a missing sample blames no sensor."""
-    last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(score))))
-    return np.where(last < 0, 0.0, score[np.maximum(last, 0)])  # type: ignore[no-any-return]
 
 
 def findings_frame(found: Sequence[Finding]) -> pd.DataFrame:

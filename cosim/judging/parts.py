@@ -226,4 +226,15 @@ def chances_of(device: SensorSignals | ActuatorSignals) -> Floats | None:
     return chances
 
 
-__all__ = ["Part", "alarms", "parts", "parts_of_alarms", "parts_of_device", "plain_kinds", "sections", "usual_hold"]
+__all__ = [
+    "Part",
+    "alarms",
+    "chances_of",
+    "parts",
+    "parts_of_alarms",
+    "parts_of_device",
+    "plain_kinds",
+    "score_of",
+    "sections",
+    "usual_hold",
+]

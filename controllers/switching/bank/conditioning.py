@@ -263,8 +263,7 @@ def make_revise(layout: Layout) -> Callable[..., None]:
     """Return the step function that judges a sensor anew in all hypotheses, where it fits better to the others than it did.
 
     Where it fits worse, nothing changes: the others may have followed a faulty sensor. Neither does a repeated sample, which may
-    be a freeze. Only the density without a fault changes. That of a noisier sensor is wide, and all others do not depend on the
-    error in this way.
+    be a freeze. Only the density without a fault changes: those of faults are wide, and are taken as unchanged by the others.
     """
     m, K, H, modes, width = layout.m, len(layout.kinds), layout.hypotheses, layout.modes, layout.width
     sensor, none, stride, kept, row = layout.sensor, layout.first, layout.length, layout.kept, layout.row

@@ -14,7 +14,15 @@ from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node, PortRef
 from bayesftc.cosim.diagram.roles import units_of_settings
-from bayesftc.cosim.diagram.wiring import goals_ahead, lies_ahead, present_origin, preview_of, preview_time, with_rates
+from bayesftc.cosim.diagram.wiring import (
+    goals_ahead,
+    lies_ahead,
+    present_origin,
+    preview_of,
+    preview_time,
+    warn_of_rounded_delays,
+    with_rates,
+)
 from bayesftc.cosim.errors import BayesFTCError, ModelError, UnknownNameError, did_you_mean
 from bayesftc.cosim.export.units import unit_of_setting
 from bayesftc.cosim.fmi.fmu import FMU
@@ -77,7 +85,9 @@ def varied(diagram: Diagram, changes: Mapping[str, Any]) -> Diagram:
             if not change.steps:
                 blocks[name] = _in_place_of(blocks[name], change.value, change.path)
         blocks[name] = _changed(blocks[name], [change for change in of_block if change.steps])
-    return with_rates(diagram.rewired(blocks | _previews(diagram, blocks)), diagram)
+    changed = with_rates(diagram.rewired(blocks | _previews(diagram, blocks)), diagram)
+    warn_of_rounded_delays(changed)
+    return changed
 
 
 def unit_of_factor(diagram: Diagram, path: str) -> str | None:

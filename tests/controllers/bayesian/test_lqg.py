@@ -461,3 +461,11 @@ def test_a_load_that_is_faster_than_the_loop_is_left_to_the_regulator():
     controller = LQGController(model, FixedPrecision(), goal_on=np.eye(1, 4), goal_covariance=9.0)
     gain = control.dlqr(A, B, np.diag([1.0 / 9.0, 0.0, 0.0]), [[1.0]])[0]
     np.testing.assert_allclose(controller.regulator.gain, gain, rtol=1e-7, atol=1e-12)
+
+
+def test_goals_that_two_controls_cannot_hold_apart_are_named_first():
+    """The advice was to bring sizes nearer to each other, as of a Riccati equation without a solution."""
+    model = LinearModel(np.diag([0.9, 0.9]), np.ones((2, 2)), np.eye(2), 1e-3, 1e-2, dt=0.1)
+    with pytest.raises(ModelError, match=r"^The goals cannot each be held") as caught:
+        LQGController(model, FixedPrecision(), goal_on=np.eye(2))
+    assert "Bring the sizes" not in str(caught.value)

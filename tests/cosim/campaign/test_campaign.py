@@ -18,7 +18,7 @@ MODEL = controllers.LinearModel(
 )
 
 
-def loop(plant=None, precision=None):
+def loop(plant=None, precision=None, faults=None):
     """An FMU, noise and a random fault: all that has a state of its own, or numbers of its own."""
     return cosim.closed_loop(
         plant=plant or cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0}),
@@ -27,7 +27,7 @@ def loop(plant=None, precision=None):
         measured="v",
         reference=cosim.Sine(amplitude=5.0, period=8.0, offset=20.0),
         sensors=cosim.Sensors(count=2, std=1.0),
-        faults=[cosim.Injection(magnitude=5.0, mean_time_to_fault=0.5, mean_time_to_recovery=0.5)],
+        faults=faults or [cosim.Injection(magnitude=5.0, mean_time_to_fault=0.5, mean_time_to_recovery=0.5)],
         noise={"disturbance": cosim.Gaussian(std=0.03)},
     )
 
@@ -384,6 +384,12 @@ def test_faults_and_learner_follow_the_rates_of_sensors():
             back = cosim.varied(changed, {"sensors.every": other})
             assert back["injection_0"].block.spacing == other[0]
             assert np.broadcast_to(back["controller"].block.precision.loss, 2)[0] == pytest.approx(share)
+
+
+def test_a_delay_that_a_factor_makes_no_multiple_of_a_sample_time_is_warned_of():
+    base = loop(faults=[cosim.Delay(sensor=0, delay=0.06)])
+    with pytest.warns(UserWarning, match=r"'delay_0' delays sensor 0 by 0\.06 s.*every 0\.1 s"):
+        cosim.varied(base, {"sensors.every": (5, 1)})
 
 
 def test_what_is_inside_of_another_factor_is_changed_after_it():

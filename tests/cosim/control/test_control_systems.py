@@ -640,8 +640,6 @@ def test_refusals_are_sentences(make, error, sentence):
 
 
 def test_results_are_responses_that_plot():
-    import matplotlib.pyplot as plt
-
     runs = [
         loop(cosim.StateSpace(linear_car(), initial=[20.0])).simulate(2.0, seed=s, engine="interpreted") for s in (1, 2)
     ]
@@ -658,4 +656,3 @@ def test_results_are_responses_that_plot():
     lines = several.plot(overlay_traces=True).lines[0, 0]
     assert several.ntraces == len(lines) == 2
     np.testing.assert_array_equal(lines[1].get_ydata(), runs[1]["plant.v"])
-    plt.close("all")

@@ -117,32 +117,24 @@ def test_a_sensor_of_many_signals_has_its_number_as_name():
     assert [quantity.name for quantity in loop_signals(loop, loop.simulate(1.0)).quantities] == ["sensor 0"]
 
 
+def designed_loop(**parts):
+    """Return the loop of a plant of first order with two sensors, and the controller that `design` makes for it."""
+    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["u"], outputs=["y"])
+    controller = controllers.design(plant, measured="y", actuated="u", sensors=2, sensor_std=0.1, dt=0.1)
+    return cosim.closed_loop(
+        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), **{"reference": 0.0, **parts}
+    )
+
+
 @pytest.mark.parametrize(("delay", "late"), [(0.1, None), (0.13, "0.1"), (0.16, "0.2")])
 def test_a_dead_time_between_two_steps_is_named(delay, late, recwarn):
     """A delay of 7 s at steps of 5 s became 5 s without a word, and margins were those of 5 s."""
-    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["u"], outputs=["y"])
-    controller = controllers.design(
-        plant,
-        measured="y",
-        actuated="u",
-        sensors=2,
-        sensor_std=0.1,
-        dt=0.1,
-        acceptable_error=0.5,
-        acceptable_control=1.0,
-    )
-    cosim.closed_loop(
-        plant, controller, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=0.0,
-        input_faults={"u": [cosim.Delay(delay=delay)]},
-    )  # fmt: skip
+    designed_loop(input_faults={"u": [cosim.Delay(delay=delay)]})
     said = [str(w.message) for w in recwarn]
     expected = f"'u_delay_0' delays by {late} s, not by {delay:g} s: a delay is a whole number of steps, here of 0.1 s."
     assert [text for text in said if "whole number" in text] == ([expected] if late else [])
 
 
 def test_references_are_no_mapping():
-    plant = control.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs=["u"], outputs=["y"])
-    controller = controllers.design(plant, measured="y", actuated="u", sensors=2, sensor_std=0.1, dt=0.1)
-    settings = {"control": "u", "measured": "y", "sensors": cosim.Sensors(2, 0.1)}
     with pytest.raises(ModelError, match="Give a list with a source for each goal"):
-        cosim.closed_loop(plant, controller, reference={"y": 0.0}, **settings)
+        designed_loop(reference={"y": 0.0})

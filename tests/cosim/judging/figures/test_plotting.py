@@ -51,13 +51,6 @@ def names(axis):
     return axis.get_legend_handles_labels()[1]
 
 
-@pytest.fixture(autouse=True)
-def closed():
-    """Leave no figure in pyplot's list."""
-    yield
-    pyplot.close("all")
-
-
 @pytest.fixture(scope="module")
 def signals():
     return run_of(load_scenario("cruise_control").loop())
