@@ -41,6 +41,7 @@ from bayesftc.cosim.diagram.wiring import (
     warn_of_other_signals,
     warn_of_rounded_delays,
     warn_of_start,
+    warn_of_turns,
     with_rates,
     wrong_goals,
 )
@@ -174,6 +175,7 @@ def closed_loop(
     outputs = [_port(node, name, "measured") for name in _names(measured, "measured")]
     inputs = {name: _port(node, name, "control") for name in _names(control, "control")}
     sensors = _fitted(sensors, sum(map(len, outputs)))
+    warn_of_turns(sensors)
     controller = with_invalid(controller, sensors)
     sensor_node = diagram.add(sensors, "sensors")
     diagram.connect(outputs, sensor_node["u"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -400,6 +401,23 @@ def warn_of_held_inputs(diagram: Diagram, plant: Node, controller: Node) -> None
                         f"and stays at {value:g}. Give it a source, such as noise={{{name!r}: cosim.Constant({held[name]:g})}}; "
                         "in a scenario file, [noise]."
                     )
+
+
+APART = 30.0
+"""Ratio of standard deviations from which on sensors hardly read the same signal."""
+
+
+def warn_of_turns(sensors: Sensors) -> None:
+    """Warn if sensors that read the signals in turn have a noise as if they read one signal after the other."""
+    if sensors.matrix is not None or sensors.function is not None or np.ndim(sensors.std) == 0:
+        return
+    std = np.asarray(sensors.std, float).tolist()
+    counts = tuple(len(list(group)) for _, group in groupby(std))
+    if len(counts) == sensors.signals < len(std) and max(std) > APART * min(std) > 0.0:
+        warn_user(
+            f"With count={len(std)} the sensors read the {sensors.signals} signals in turn, but std={brief(std)} looks as "
+            f"if they read one signal after the other. If they do, give count={counts}."
+        )
 
 
 UNLIKELY = 5.0

@@ -138,3 +138,25 @@ def test_a_dead_time_between_two_steps_is_named(delay, late, recwarn):
 def test_references_are_no_mapping():
     with pytest.raises(ModelError, match="Give a list with a source for each goal"):
         designed_loop(reference={"y": 0.0})
+
+
+def test_noise_that_is_listed_signal_by_signal_for_sensors_in_turn_is_warned_of():
+    """A position sensor got the noise of a current sensor, and the other way round."""
+    plant = control.ss(np.diag([0.9, 0.99]), [[0.1], [0.1]], np.eye(2), 0, 0.1, inputs=["u"], outputs=["x", "w"])
+
+    def warnings_of(std, count=4):
+        C = np.tile(np.eye(2), (2, 1)) if count == 4 else np.repeat(np.eye(2), 2, axis=0)
+        controller = LQGController(LinearModel(plant.A, plant.B, C, 1e-3, 0.01, dt=0.1), goal_on=[[1.0, 0.0]])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            cosim.closed_loop(
+                plant, controller, control="u", measured=["x", "w"], sensors=cosim.Sensors(count, std), reference=1.0
+            )
+        return [str(each.message) for each in caught if "in turn" in str(each.message)]
+
+    (said,) = warnings_of([0.002, 0.002, 5.0, 5.0])
+    assert said.startswith("With count=4 the sensors read the 2 signals in turn, but std=[0.002, 0.002, 5.0, 5.0]")
+    assert said.endswith("If they do, give count=(2, 2).")
+    assert not warnings_of([0.002, 5.0, 0.002, 5.0])
+    assert not warnings_of([0.1, 0.1, 0.5, 0.5])  # a pair of good sensors and a pair of poor ones
+    assert not warnings_of([0.002, 5.0], count=(2, 2))
