@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -316,15 +316,13 @@ def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place 
     own = f"{controller.name}.u"
     low, high, rate = (_limits(controller, name, count) for name in ("u_min", "u_max", "u_rate"))
     targets: dict[int, tuple[str, str | None, tuple[str, ...]]] = {}
-    for node, port, i in elements(diagram, {controller.name}):
-        chain = faults_right_before(diagram, node, port, i)
-        sent = (
-            _source(diagram, chain[0][0], chain[0][0].port("u"), chain[0][1])
-            if chain
-            else _source(diagram, node, port, i)
-        )
-        if sent is not None and sent in controls_sent:
-            targets.setdefault(controls_sent.index(sent), (element_name(port, i), port.unit, _faults(chain)))
+    # The input of the plant, if there is one behind a sum or a limit, and else that of the last block.
+    for node, port, i in sorted(
+        elements(diagram, {controller.name}), key=lambda each: each[1].name in each[0].block.one_unit
+    ):
+        for sent, faults in _ways(diagram, node, port, i, set()):
+            if sent in controls_sent:
+                targets.setdefault(controls_sent.index(sent), (element_name(port, i), port.unit, faults))
     controls = []
     for j in range(count):
         name, unit, faults = targets.get(j, (f"control {j}", None, ()))
@@ -333,6 +331,29 @@ def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place 
         period = float(diagram.step * controller.every)
         controls.append(ControlRole(name, unit, low[j], high[j], faults, rate[j], period, signal))
     return tuple(controls)
+
+
+def _ways(
+    diagram: Diagram, node: Node, port: Port, i: int, seen: set[Element]
+) -> Iterator[tuple[Place, tuple[str, ...]]]:
+    """Yield each source of one element of an input, also behind blocks that keep the unit, with the faults on the way."""
+    chain = faults_right_before(diagram, node, port, i)
+    begin = (chain[0][0], chain[0][0].port("u"), chain[0][1]) if chain else (node, port, i)
+    origin = diagram.source_of(*begin)
+    if origin is None:
+        return
+    source, element = origin
+    place, faults = (f"{source.node.name}.{source.port.name}", element), _faults(chain)
+    yield place, faults
+    one_unit = () if isinstance(source.node.block, Sensors) else source.node.block.one_unit
+    for before in source.node.inputs if source.port.name in one_unit else ():
+        elementwise = before.size == source.port.size
+        for j in (element,) if elementwise else range(before.size):
+            step = (source.node.name, before.name, j)
+            if before.name in one_unit and step not in seen:
+                seen.add(step)
+                for earlier, more in _ways(diagram, source.node, before, j, seen):
+                    yield earlier, (*more, *faults)
 
 
 def _limits(controller: Node, name: str, count: int) -> list[float | None]:

@@ -57,3 +57,25 @@ def test_a_sensor_that_also_damps_the_plant_keeps_the_fault_of_the_input():
     roles = find_roles(loop(blocks, wiring, input_faults={"u": cosim.GainFault(factor=0.5)}))
     assert {i: sensor.faults for i, sensor in enumerate(roles.sensors)} == FAULTS
     assert [(each.name, each.faults) for each in roles.inputs] == [("u", ("u_gain_fault_0",))]
+
+
+def test_a_control_behind_a_sum_and_a_limit_has_the_name_and_unit_of_the_plants_input():
+    """Its panel was called "u[0]", the input of the sum, and had no unit."""
+    plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["force"]), units={"force": "N"})
+    model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    blocks = {
+        "noise": cosim.Gaussian(1.0),
+        "total": cosim.Sum(),
+        "limit": cosim.Saturation(-5.0, 5.0),
+        "scaled": cosim.Gain(2.0),
+    }
+    wiring = [
+        (["controller.u", "noise.y"], "total.u"), ("total.y", "limit.u"), ("limit.y", "force_gain_fault_0.u"),
+        ("controller.u", "scaled.u"),
+    ]  # fmt: skip
+    behind = cosim.closed_loop(
+        plant, LQGController(model), control="force", measured="y[0]", sensors=cosim.Sensors(2, 0.2), reference=1.0,
+        input_faults={"force": cosim.GainFault(factor=0.5)}, blocks=blocks, connections=wiring,
+    )  # fmt: skip
+    (role,) = find_roles(behind).controls
+    assert (role.name, role.unit, role.faults) == ("force", "N", ("force_gain_fault_0",))
