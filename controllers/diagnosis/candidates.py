@@ -88,8 +88,8 @@ ROUNDING = 1e-18
 NEARLY = 5.0
 """Log-likelihood ratio within which a flexible explanation counts as nearly as good; for simple ones it is `EVIDENCE`."""
 
-AT_ONCE = 16
-"""Number of models that are judged at once where sensors are slow, for memory."""
+AT_ONCE, MOST_NUMBERS = 16, 10_000_000
+"""Number of models that are judged at once where sensors are slow, and of numbers in their innovations, for memory."""
 
 EFFECT = {"sign", "gain", "gains"}
 """One kind in three words: the effect of a control, or of several."""
@@ -353,11 +353,15 @@ def _by_models(
 
     `recording` is the judge's, by default itself, with the belief before the first sample of these models.
     """
-    if judge.recording.presence is not None and len(possible) > AT_ONCE:  # each has its own gains along the recording
-        parts = (possible[k : k + AT_ONCE] for k in range(0, len(possible), AT_ONCE))
-        return [found for part in parts for found in _by_models(judge, kind, part, recording)]
     if not possible:
         return []
+    numbers = len(judge.bank) * judge.recording.y.size * (1 + judge.model.states * len(judge.recording.begins))
+    most = max(1, MOST_NUMBERS // numbers)
+    if judge.recording.presence is not None:  # each has its own gains along the recording
+        most = min(most, AT_ONCE)
+    if len(possible) > most:
+        parts = (possible[k : k + most] for k in range(0, len(possible), most))
+        return [found for part in parts for found in _by_models(judge, kind, part, recording)]
     models, banks = [model for *_, model, _ in possible], [bank for *_, bank in possible]
     moved = np.array([(judge.recording.u @ model.matrix("B").T)[None] for model in models])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -384,7 +388,7 @@ def _pushed(judge: Judge) -> list[Explanation]:
         # Free all dynamics except control j's effect, which the fit gives; with and without nonlinear terms.
         effect_start = (1 + plant + j) * plant
         others = np.concatenate([responses[:, :effect_start], responses[:, effect_start + plant :]], axis=1)
-        for last in (first - plant, others.shape[1]):
+        for last in {first - plant, others.shape[1]}:
             results += judge.flipped(np.concatenate([effects[:, j : j + 1], others[:, :last]], axis=1), j)
     results.append(judge.fitted("dynamics", responses[:, :first]))
     bent: list[Explanation] = []
@@ -404,6 +408,8 @@ def _features(judge: Judge) -> tuple[list[Floats], list[Floats]]:
     rows = np.unique(model.quantities, axis=0)
     outputs = [x @ row for row in rows]
     linear = [np.ones(len(u)), *x[:, :plant].T, *u.T]
+    if recording.linear:
+        return linear, []
     both = [*outputs, *u.T]
     bent = [both[i] * both[j] for i in range(len(both)) for j in range(i + 1)] + [f**3 for f in outputs]
     return linear, bent
