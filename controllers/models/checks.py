@@ -39,14 +39,15 @@ def as_numbers(name: str, value: object, example: str) -> Floats:
     Raises
     ------
     ModelError
-        If it contains text or anything else that is not a number, or rows of different lengths; `example` says what to give.
+        If it contains text, None or anything else that is no number, or rows of different lengths; `example` says what to give.
     """
     try:
         array = np.asarray(value, dtype=np.float64)
-        text = np.asarray(value).dtype.kind in "US"
+        given = np.asarray(value)
+        wrong = given.dtype.kind in "US" or (given.dtype.kind == "O" and any(each is None for each in given.ravel()))
     except (TypeError, ValueError, OverflowError):
-        text = True
-    if text:
+        wrong = True
+    if wrong:
         raise ModelError(f"{name} is {brief(value)}; {example}.")
     return array
 
@@ -145,7 +146,8 @@ def as_vector(name: str, value: object, size: int, *, finite: bool = True) -> Fl
     ModelError
         If it has another length, or is not finite although `finite` is True.
     """
-    array = as_numbers(name, value, "it must be a number or a list of numbers")
+    or_not = "" if finite else ", infinite for no limit"
+    array = as_numbers(name, value, f"it must be a number or a list of numbers{or_not}")
     if array.ndim == 0:
         array = np.full(size, float(array))
     if array.shape != (size,):

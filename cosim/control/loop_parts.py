@@ -240,7 +240,7 @@ def _of_block(
     else:
         system = _system(diagram, node, [port.name for port in ports], [port.name for port in block.outputs])
         if system._machine.opaque:
-            raise ModelError(_hidden(node, driven, measured, step))
+            raise ModelError(_hidden(node, driven, measured, step, u))
         linear = system.linearize(_settled_state(diagram, node, system, u), u)
         a, b, c, d = linear.A, linear.B, linear.C, linear.D
         continuous = False
@@ -275,8 +275,8 @@ def _moving(a: Floats, b: Floats, c: Floats, d: Floats, step: float, steps: int)
     return Matrices(A[np.ix_(keep, keep)], B[keep], c[:, keep], d), within
 
 
-def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction) -> str:
-    """Return the message about a plant with hidden states, with a line to copy if it is an FMU."""
+def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], step: Fraction, u: Floats) -> str:
+    """Return the message about a plant with hidden states, with a line to copy if it is an FMU; `u` is where it is to rest."""
     text = f"The plant {node.name!r} has hidden states, so that it cannot be linearized at its start values. Give a linear model"
     if not isinstance(node.block, FMU):
         return f"{text} of it, a system of python-control: loop.linear(plant=system)."
@@ -285,6 +285,9 @@ def _hidden(node: Node, driven: Sequence[Element], measured: Sequence[Element], 
         for role, elements in (("measured", measured), ("actuated", driven))
     }
     given = ", ".join(f"{role}={ports!r}" for role, ports in names.items())
+    inputs = [(element_name(port, i), start_values(port)[i]) for port in _inputs(node) for i in range(port.size)]
+    if at := {name: value for (name, start), value in zip(inputs, u.tolist(), strict=True) if value != start}:
+        given += f", at={at!r}"  # else it is to rest at its start values, and may not
     return (
         f"{text} of it, from its responses to pulses:\n"
         f"model = bayesftc.controllers.LinearModel.from_fmu(loop[{node.name!r}].block, {given}, dt={show(step)!r})\n"

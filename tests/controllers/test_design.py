@@ -682,6 +682,7 @@ BLIND = control.ss([[-1.0]], [[1.0]], [[0.0]], 0)
         ({"noise": 0.1}, ModelError, r"a number for each input by name, as noise=\{'load'"),
         ({"at": 0.1}, ModelError, r"a number for each input by name, as at="),
         ({"u_min": 5.0, "u_max": -5.0}, ModelError, "u_min is 5, above its u_max of -5"),
+        ({"u_min": None}, ModelError, "u_min is None; it must be a number or a list of numbers, infinite for no limit"),
     ],
 )  # fmt: skip
 def test_wrong_settings_are_said_in_a_sentence(settings, error, words):

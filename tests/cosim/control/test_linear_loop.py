@@ -417,6 +417,16 @@ def test_an_fmu_that_hides_its_states_needs_a_model_in_its_place():
     assert names["linear"].margins() == pytest.approx(open_.margins(), rel=1e-6)
 
 
+def test_the_model_in_place_of_a_hidden_plant_is_made_where_the_plant_rests():
+    path = fmus.path("CruiseControl")
+    controller = controllers.design(path, measured="v", actuated="force", at={"force": 500.0}, sensor_std=0.1)
+    hidden = cosim.closed_loop(
+        cosim.FMU(path, isolate=True), controller, control="force", measured="v", sensors=cosim.Sensors(1, 0.1), reference=1.0
+    )  # fmt: skip
+    with pytest.raises(ModelError, match=r"actuated=\['force'\], at=\{'force': 500\.0\}, dt='0\.02'\)"):
+        hidden.bode()
+
+
 def test_a_model_exchange_fmu_is_linearized_at_its_start(casadi_fmu):
     """A pendulum, held at 0.5 rad: its own equations there, sampled by python-control."""
     pendulum = cosim.FMU(casadi_fmu("pendulum", lambda q, u: q), kind="model exchange")
