@@ -10,7 +10,7 @@ import numpy as np
 from bayesftc.cosim.campaign.designs.plan import OK
 from bayesftc.cosim.campaign.runs.truth import FAULTY, MISSING
 from bayesftc.cosim.judging.metrics import samples_in_faults
-from bayesftc.cosim.judging.signals import SCORES
+from bayesftc.cosim.judging.signals import ALARM, SCORES, SensorSignals
 
 if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
@@ -33,6 +33,9 @@ class Level:
     seeds: list[int]  # one per run; runs with the same seed have the same noise
     of: int  # number of complete runs, of which at most `RUNS` are drawn
     seen_as_missing: list[int]  # number of faults of each sensor whose samples are all missing
+    blamed: list[
+        Floats
+    ]  # 1 at a fault-free step with an alarm, else 0; NaN during faults and where a due sample is missing
 
     @property
     def is_probability(self) -> bool:
@@ -74,6 +77,7 @@ class _Run:
     faults: int
     seen_as_missing: list[int]  # of each sensor
     seed: int
+    blamed: dict[str, Floats]  # of each score
 
     def valid(self, score: str) -> Any:
         """Return the samples with a score; None if it has no column for each sensor."""
@@ -111,6 +115,7 @@ def read_detection(contents: Contents) -> Found:
             [run.seed for run in fit],
             good,
             [sum(counts) for counts in zip(*(run.seen_as_missing for run in fit), strict=True)],
+            [run.blamed[name] for run in fit],
         )
     return found
 
@@ -164,12 +169,20 @@ def _judged(signals: dict[str, Floats], scores: list[str], seed: int) -> _Run:
     """Return a run with the definitions of `bayesftc.cosim.judging.metrics`: a missing sample counts in no figure."""
     faulty, missing = signals[FAULTY] > 0, signals[MISSING] > 0
     ranks = {name: signals[name].reshape(len(faulty), -1).copy() for name in scores}
-    for values in ranks.values():
-        if values.shape == missing.shape:
-            values[missing] = np.nan
+    sensors = [
+        SensorSignals(i, np.where(column, np.nan, 0.0), None, None, None, None) for i, column in enumerate(missing.T)
+    ]
+    apart = faulty | np.transpose([sensor.lost for sensor in sensors])
+    blamed = {
+        name: np.where(apart | np.isnan(values), np.nan, values >= ALARM)
+        for name, values in ranks.items()
+        if values.shape == missing.shape
+    }
+    for name in blamed:
+        ranks[name][missing] = np.nan
     faults = [samples_in_faults(*column) for column in zip(faulty.T, ~missing.T, strict=True)]
     unseen = [sum(not len(samples) for samples in of_sensor) for of_sensor in faults]
-    return _Run(ranks, faulty, sum(map(len, faults)), unseen, seed)
+    return _Run(ranks, faulty, sum(map(len, faults)), unseen, seed, blamed)
 
 
 __all__ = ["FAILED", "HEALTHY", "Found", "Level", "read_detection", "recorded_scores"]

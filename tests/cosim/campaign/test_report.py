@@ -410,6 +410,17 @@ def test_faults_that_are_seen_as_missing_samples_are_counted_apart(stored):
     assert "it is neither detected nor missed, as in the table of runs." in caption
 
 
+def test_a_slow_sensor_is_blamed_also_between_its_samples(stored):
+    """The share was that of the samples alone; the table of runs counts all steps, as others may blame the sensor in between."""
+    signals, _ = detected(lambda both, rng: 6.0 * both - 3.0 + 0.1 * rng.normal(size=both.shape))
+    signals["sensor_missing"][:, np.arange(ROWS) % 5 > 0, 1] = 1.0
+    signals["controller.fault_probability"][:, [*range(11, 15), *range(21, 23)], 1] = 0.9
+    contents = Contents(precisions(stored, seeds=3, signals=signals))
+    rows = alarm_table(contents, read_detection(contents)).rows
+    healthy = ROWS - int((signals["sensor_faulty"][0, :, 0] > 0).sum())
+    assert [row[7] for row in rows if row[0] == "gamma"] == [f"{6 / (ROWS + healthy):.2%}", "0.00%", f"{6 / ROWS:.2%}"]
+
+
 def test_a_level_without_curves_has_its_reason(stored):
     signals, _ = detected(lambda both, rng: both + rng.normal(size=both.shape))
     precision = np.repeat([p["precision"] for p in PRECISIONS], 3)
