@@ -112,7 +112,12 @@ def _exact(seconds: float | str | Fraction, what: str) -> Fraction:
 
 
 def spoken(seconds: float) -> str:
-    """Return a duration as a whole number of the largest unit of which it is two or more: ``"40 s"``, ``"12 min"``, ``"3 h"``."""
+    """Return a duration as a whole number of the largest unit of which it is two or more: ``"40 s"``, ``"12 min"``, ``"3 h"``.
+
+    Below two seconds it has two digits: ``"0.03 s"``.
+    """
+    if seconds < 2:
+        return f"{seconds:.2g} s"
     unit, size = next(((unit, size) for unit, size in _SIZES if seconds >= 2 * size), ("s", 1))
     return f"{seconds / size:.0f} {unit}"
 

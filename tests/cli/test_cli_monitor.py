@@ -10,7 +10,9 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from bayesftc import monitoring
 from bayesftc.cli import app
+from bayesftc.cli.commands.recordings import _monitor_fit
 from bayesftc.cli.commands.recordings._faults import print_disagreements, print_faults
 from bayesftc.cli.commands.recordings.monitor import _remedy
 from bayesftc.controllers.bayesian import recorded
@@ -754,6 +756,29 @@ def test_a_column_that_does_not_follow_is_named(tmp_path):
     )
     two = RUNNER.invoke(app, [*command, "--overwrite", "--json", "--sensor=baro", "--sensor=sonar"])
     assert any(note.startswith("baro and sonar do not agree") for note in json.loads(two.stdout)["notes"])
+
+
+def test_a_column_of_another_quantity_is_named_by_its_place_or_its_missing_unit():
+    rng = np.random.default_rng(0)
+    t, y = 0.1 * np.arange(3000), 50 + 0.01 * rng.standard_normal((3000, 3))
+    columns = dict(zip(("f1 [Hz]", "f2 [Hz]", "u"), y.T, strict=True))
+
+    def said(u):
+        signals = {name: monitoring.Signal(t, values) for name, values in (columns | {"u": u}).items()}
+        samples = monitoring.recorded(signals)
+        fitted, places = monitoring.fit_model(samples), {name: monitoring.Place("", name, "t") for name in signals}
+        return [*_monitor_fit._strangers(fitted, samples), *_monitor_fit._without_unit(fitted, places)]
+
+    (note,) = said(y[:, 2] - 50)
+    assert note.startswith(
+        "u does not seem to measure the same quantity as the other sensors: it lies at 0, they lie at about 50, and it does not "
+        "visibly move with them. "
+    )
+    assert "If u measures another quantity, leave it out: name the others with --sensor." in note
+    (note,) = said(y[:, 2])
+    assert note.startswith(
+        "u has no unit in brackets, but f1 [Hz] has. The fit takes all for samples in Hz. If a column measures"
+    )
 
 
 def test_a_column_that_moves_the_other_way_is_named_with_what_to_write(tmp_path):

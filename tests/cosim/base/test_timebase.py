@@ -124,8 +124,8 @@ def test_show():
 
 
 def test_long_times_are_written_in_units_that_one_can_read():
-    assert [spoken(t) for t in (0.4, 119, 120, 7199, 7200, 172799, 172800)] == [
-        "0 s", "119 s", "2 min", "120 min", "2 h", "48 h", "2 d",
+    assert [spoken(t) for t in (0.0252, 1.5, 119, 120, 7199, 7200, 172799, 172800)] == [
+        "0.025 s", "1.5 s", "119 s", "2 min", "120 min", "2 h", "48 h", "2 d",
     ]  # fmt: skip
     assert share_of_time(1.35732e6, 2.16e7) == "15.71 of 250 d"
     assert share_of_time(3600.0, 21600.0) == "1 of 6 h"

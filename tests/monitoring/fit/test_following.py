@@ -156,3 +156,31 @@ def test_other_factors_are_not(change):
     y = temperatures(0)
     change(y)
     assert strangers(y) == {}
+
+
+def test_a_column_at_another_place_is_named_though_no_motion_is_visible():
+    """Three good frequency meters at 50 Hz, whose noise hides the motion, and a control near 0."""
+    rng = np.random.default_rng(0)
+    y = 50 + 0.003 * np.sin(T / 5)[:, None] + 0.01 * rng.standard_normal((N, 3))
+    control = 0.004 * rng.standard_normal(N)
+    assert strangers(y) == {}
+    assert strangers(y + np.array([0.0, 0.4, 0.0])) == {}  # a bias, if large
+    assert strangers(np.column_stack([y, control])) == {3: pytest.approx(np.nan, nan_ok=True)}
+    assert list(strangers(np.column_stack([y[:, 0], control]))) == [0, 1]
+    assert strangers(np.column_stack([y, 50 + control])) == {}
+    fitted = fit_model(
+        recorded({n: Signal(T, v) for n, v in zip("abcu", np.column_stack([y, control]).T, strict=True)})
+    )
+    alone = fit_model(recorded({n: Signal(T, v) for n, v in zip("abc", y.T, strict=True)}))
+    assert fitted.plant == alone.plant
+
+
+def test_most_sensors_show_the_quantity_though_two_others_agree_best():
+    """Four probes, each with noise as large as its motion, and two precise meters of the current that moves the other way."""
+    rng = np.random.default_rng(1)
+    motion = np.sin(2 * np.pi * T)
+    probes = motion[:, None] + 0.7 * rng.standard_normal((N, 4))
+    currents = -4 * motion[:, None] + 0.5 * rng.standard_normal((N, 2))
+    assert strangers(probes) == {}
+    found = strangers(np.column_stack([probes, currents]))
+    assert found == {4: pytest.approx(-4, abs=0.2), 5: pytest.approx(-4, abs=0.2)}

@@ -39,7 +39,8 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
     times only. Drifts, biases and noise make the slopes of the windows scatter about 1, and a fault in fewer than half of the
     windows does not change their median. A sensor is named only if its slope is certainly small over some time, over none
     certainly large, and if most sensors follow. Of two sensors both are named, as nobody knows which one is wrong. A sensor that
-    moves exactly as the others, but by another factor, as one in another unit does, is named as well.
+    moves exactly as the others, but by another factor, as one in another unit does, is named as well. So is one that lies at
+    another place than the others, such as a control beside frequencies of 50 Hz, unless it certainly follows; its slope is NaN.
 
     Parameters
     ----------
@@ -51,11 +52,23 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
     y = awake(y)
     if scaled := _scaled(y):
         return scaled
+    parts = [windows for samples in {len(of): of for of in (y, y[stretch])}.values() for windows in _windows(samples)]
+    strange, following = _strange([(_of_two if y.shape[1] == 2 else _of_several)(x) for x in parts], y.shape[1])
+    if (
+        not strange and y.shape[1] > 2
+    ):  # the best pair may be of another quantity than most, or noise hides the motion of each
+        strange, following = _strange([_of_most(x) for x in parts], y.shape[1])
+    return strange | {i: float("nan") for i in _elsewhere(y) if i not in {*strange, *following}}
+
+
+def _strange(
+    of_windows: list[tuple[tuple[int, ...], dict[int, _Slope]]], sensors: int
+) -> tuple[dict[int, float], set[int]]:
+    """Return the slopes of the sensors that do not follow, none if most do not, and the sensors that do."""
     slopes: dict[int, list[_Slope]] = {}
     leaders: set[int] = set()
-    for x in (windows for samples in {len(of): of for of in (y, y[stretch])}.values() for windows in _windows(samples)):
-        pair, found = (_of_two if y.shape[1] == 2 else _of_several)(x)
-        leaders |= set(pair)
+    for leading, found in of_windows:
+        leaders |= set(leading)
         for i, slope in found.items():
             slopes.setdefault(i, []).append(slope)
     following = leaders | {i for i, found in slopes.items() if any(slope.follows for slope in found)}
@@ -64,7 +77,20 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
         for i, found in slopes.items()
         if i not in following and any(slope.strange for slope in found)
     }
-    return strange if len(strange) < len(following) or y.shape[1] == 2 else {}
+    return (strange if len(strange) < len(following) or sensors == 2 else {}), following
+
+
+def _elsewhere(y: Floats) -> list[int]:
+    """Return the sensors whose place is far from that of most others; of two such sensors both."""
+    middle = median(y, 0)
+    spread = MAD * median(np.abs(y - middle), 0)
+    distance = np.abs(middle - middle[:, None])
+    size = np.maximum(np.abs(middle), np.abs(middle[:, None]))
+    near = (distance <= FIT.elsewhere * np.hypot(spread, spread[:, None])) | (distance <= FIT.unlike * size)
+    if len(middle) == 2:
+        return [] if near.all() else [0, 1]
+    group = near[int(near.sum(axis=1).argmax())]
+    return np.flatnonzero(~group).tolist() if 2 * group.sum() > len(middle) else []
 
 
 def _scaled(y: Floats) -> dict[int, float]:
@@ -135,6 +161,23 @@ def _of_several(x: Floats) -> tuple[tuple[int, ...], dict[int, _Slope]]:
         if (slope := _slope(own[moving] / motion[moving])) is not None:
             found[i] = slope
     return (pair if moves.sum() >= FIT.fewest_windows else ()), found
+
+
+def _of_most(x: Floats) -> tuple[tuple[int, ...], dict[int, _Slope]]:
+    """Return most sensors, if each of them certainly moves with each other one, and the slopes of the others against them."""
+    sensors = x.shape[2]
+    together, motion = np.eye(sensors, dtype=bool), np.zeros((sensors, sensors, len(x)))
+    for i, j in combinations(range(sensors), 2):
+        alike = _slope(_correlation(x[:, :, i], x[:, :, j]))
+        together[i, j] = together[j, i] = alike is not None and alike.value - FIT.sure * alike.error > FIT.lags
+        motion[i, j] = motion[j, i] = _covariance(x[:, :, i], x[:, :, j])
+    group = np.flatnonzero(together[int(together.sum(axis=1).argmax())])
+    if 2 * len(group) <= sensors or not together[np.ix_(group, group)].all():
+        return (), {}
+    of_group = median(np.array([motion[i, j] for i, j in combinations(group, 2)]), 0)
+    moves = of_group > 0.5 * median(of_group, 0)
+    slopes = {i: _slope((median(motion[group, i], 0) / of_group)[moves]) for i in range(sensors) if i not in group}
+    return tuple(group.tolist()), {i: slope for i, slope in slopes.items() if slope is not None}
 
 
 def _of_two(x: Floats) -> tuple[tuple[int, ...], dict[int, _Slope]]:

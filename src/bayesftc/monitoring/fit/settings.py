@@ -64,6 +64,12 @@ class FitSettings:
     )
     another_factor: float = chosen(1.25, "factor from which a sensor has another unit or quantity: gains err by less")
     one_factor: float = chosen(1.1, "largest ratio of the factors in windows of several lengths")
+    elsewhere: float = chosen(
+        100.0, "distance of a sensor's place from that of the others, in their spreads: a bias is seldom as large"
+    )
+    unlike: float = chosen(
+        0.5, "share of its size by which it must differ, too: sensors may be far more precise than true"
+    )
     # Windows.
     window: int = chosen(16, "lags in a window, for several independent differences")
     least_window: int = chosen(64, "least samples in a window, for a reliable median")

@@ -17,7 +17,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.base.announcing import inform
-from bayesftc.cosim.base.recordings.columns import bare_name, column_called
+from bayesftc.cosim.base.recordings.columns import bare_name, column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.local_dates import day_first_date
 from bayesftc.cosim.base.recordings.turns import find_period
@@ -144,12 +144,13 @@ def fit_files(recording: Sequence[Path], part: Fit, model: Path, *, overwrite: b
             *_angles(places),
             *slow.values(),
             *_codes({**found, **turned}, samples, tables, places),
-            *_strangers(fitted),
+            *_strangers(fitted, samples),
+            *_without_unit(fitted, places),
             *_one_by_one(fitted, [*found]),
             *_changes(fitted, samples, stretch),
             *_parted(fitted, samples, stretch),
             *_gains(fitted, samples, stretch, model),
-            *fit_notes(fitted, part),
+            *fit_notes(fitted, part, samples.units),
         ],
     )
 
@@ -215,24 +216,57 @@ def _codes(
         )
 
 
-def _strangers(fitted: FittedModel) -> Iterator[str]:
+def _strangers(fitted: FittedModel, recording: Recording) -> Iterator[str]:
     """Give a note for each sensor that does not follow the others, or for two that do not agree."""
+    places = dict(zip(recording.sensors, np.nanmedian(recording.y, axis=0), strict=True))
     if len(fitted.sensors) == 2 and fitted.strangers:
         (one, slope), (other, _) = fitted.strangers.items()
+        how = f"while one of them moves by 1, the other moves by {_slope(slope)}"
+        if np.isnan(slope):
+            at = [_beside(place, places[one] - places[other]) for place in places.values()]
+            how = f"they lie at {at[0]} and {at[1]}, and no common motion is visible"
         yield (
-            f"{one} and {other} do not agree: while one of them moves by 1, the other moves by {_slope(slope)}. At least one of "
-            "them is wrong, or measures another quantity, but two sensors do not show which one. The monitor needs sensors of "
-            f"one quantity.{_fahrenheit(slope, one, other)}"
+            f"{one} and {other} do not agree: {how}. At least one of them is wrong, or measures another quantity, but two "
+            f"sensors do not show which one. The monitor needs sensors of one quantity.{_fahrenheit(slope, one, other)}"
         )
         return
     others = next((name for name in fitted.sensors if name not in fitted.strangers), "")
+    typical = np.median([place for name, place in places.items() if name not in fitted.strangers])
     for name, slope in fitted.strangers.items():
+        how = f"does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}"
+        if np.isnan(slope):
+            here, there = (_beside(place, places[name] - typical) for place in (places[name], typical))
+            how = (
+                f"does not seem to measure the same quantity as the other sensors: it lies at {here}, they lie at about {there}, "
+                "and it does not visibly move with them"
+            )
         yield (
-            f"{name} does not follow the other sensors: while they move by 1, it moves by {_slope(slope)}. Motion and the noise "
+            f"{name} {how}. Motion and the noise "
             f"of the others are fitted without {name}, and its whole distance from them counts as noise. If {name} measures "
             "another quantity, leave it out: name the others with --sensor. If it has failed in most of this recording, fit to a "
             f"stretch without the fault: --from and --to.{_fahrenheit(slope, name, others)}{_opposite(fitted, name, slope)}"
         )
+
+
+def _beside(place: float, distance: float) -> str:
+    """Return a place with as many digits as its distance from another one needs."""
+    return f"{round(place, 2 - int(np.floor(np.log10(abs(distance))))) + 0.0:.6g}"
+
+
+def _without_unit(fitted: FittedModel, places: Mapping[str, Place]) -> Iterator[str]:
+    """Give a note that some columns have a unit in brackets but others have none, and no motion shows whether they follow."""
+    units = {name: column_unit(place.column) for name, place in places.items() if name not in fitted.strangers}
+    named, bare = [name for name, unit in units.items() if unit], [name for name, unit in units.items() if not unit]
+    if named and bare and not fitted.moves:
+        has = "has no unit" if len(bare) == 1 else "have no unit"
+        yield (
+            f"{_and(bare)} {has} in brackets, but {named[0]} has. The fit takes all for samples in {units[named[0]]}. If a "
+            "column measures another quantity, leave it out: name the others with --sensor."
+        )
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _one_by_one(fitted: FittedModel, coded: Sequence[str]) -> Iterator[str]:
@@ -243,7 +277,7 @@ def _one_by_one(fitted: FittedModel, coded: Sequence[str]) -> Iterator[str]:
         (coded, "with --invalid") if fitted.coded else (fitted.strangers, "other columns (--sensor) or another stretch")
     )
     yield (
-        f"The model file has no joint = true, because of {' and '.join(names)}: sensors are judged one by one, and healthy ones "
+        f"The model file has no joint = true, because of {_and([*names])}: sensors are judged one by one, and healthy ones "
         f"are blamed more often than if they are judged together. For that, fit {how} as said above."
     )
 
@@ -376,7 +410,7 @@ def fitted_summary(fitted: FittedModel, model: Path) -> dict[str, Any]:
     }
 
 
-def fit_notes(fitted: FittedModel, part: Fit) -> list[str]:
+def fit_notes(fitted: FittedModel, part: Fit, units: Sequence[str] = ()) -> list[str]:
     """Return a note for each sensor that may have failed in the stretch of the fit, or that measures another quantity."""
     return [
         f"The errors of {name} last, and are {ratio:.0f} times its noise and far above those of the other sensors. If {name} has "
@@ -385,19 +419,24 @@ def fit_notes(fitted: FittedModel, part: Fit) -> list[str]:
         "quantity, leave it out: name the others with --sensor."
         for name, ratio in doubtful_sensors(fitted).items()
         if name not in fitted.strangers
-    ] + list(_outside(fitted, part))
+    ] + list(_outside(fitted, part, _one_unit(units)))
 
 
-def _outside(fitted: FittedModel, part: Fit) -> Iterator[str]:
+def _one_unit(units: Sequence[str]) -> str:
+    """Return the unit that all have; none if they differ."""
+    return units[0] if len(set(units)) == 1 else ""
+
+
+def _outside(fitted: FittedModel, part: Fit, unit: str) -> Iterator[str]:
     """Give a note that the model expects slow errors which are rare, or which the stretch of healthy sensors does not show."""
     if fitted.outside:
         size, seconds = float(np.max(fitted.outside.std)), float(np.max(fitted.outside.time_constant))
         named = part.start is not None or part.stop is not None
         where, there = ("Outside of the stretch", "there") if named else ("In a small part of the recording", "then")
         yield (
-            f"{where}, biases wander by {size:.2g} within {spoken(seconds)}, and the model expects that of healthy sensors. If "
-            f"sensors failed {there}, slow drifts are not found: put rows with healthy sensors into a file of their own, and fit "
-            "that."
+            f"{where}, biases wander by {size:.2g}{behind(unit)} within {spoken(seconds)}, and the model expects that of healthy "
+            f"sensors. If sensors failed {there}, slow drifts are not found: put rows with healthy sensors into a file of their "
+            "own, and fit that."
         )
 
 
@@ -405,7 +444,7 @@ def print_fit(fitted: FittedModel, recording: Recording, part: Fit, model: Path)
     """Print the fitted model."""
     console, say = output.sayer()
     say("Fitted model", "bold")
-    unit = next(iter(recording.units)) if len(set(recording.units)) == 1 else ""
+    unit = _one_unit(recording.units)
     say(_motion(fitted, unit, float(recording.dt)))
     table = output.empty_table("noise", "lasting errors", "bias", "resolution", "repeats", "missing")
     errors = lasting_errors(fitted)
