@@ -36,6 +36,19 @@ def test_a_change_to_the_end_is_found(seed, sensor, size, sudden):
     assert change.begin == pytest.approx(1600, abs=0 if sudden and sensor == 0 else 300)
 
 
+@pytest.mark.parametrize("seed", range(301, 305))
+@pytest.mark.parametrize("begin", [400, 1600])
+def test_another_sensor_that_fails_for_a_while_hides_no_change(seed, begin):
+    """A frozen sensor was far from both others; the moved one got its bias from after the change, and was blamed before it."""
+    y = samples(seed)
+    y[begin:, 1] += 15.0
+    y[2000:2250, 2] += 200.0
+    ((moved, change),) = changes(y, NOISE).items()
+    assert (moved, change.sudden) == (1, True)
+    assert change.size == pytest.approx(15.0, rel=0.05)
+    assert change.begin == pytest.approx(begin, abs=60)
+
+
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", range(301, 305))
 @pytest.mark.parametrize("share", [0.0, 0.025, 0.1, 0.2])

@@ -207,17 +207,26 @@ def _course(apart: Floats) -> _Course | None:
     levels = levels[there]
     if len(levels) < 2 * FIT.fewest_windows:
         return None
-    total = float(np.abs(levels - np.median(levels)).sum())
     best = _Course(Change(0.0, 0, sudden=True), 0.0)
     for k in range(FIT.least_before, int(FIT.rare * len(levels)) + 1):
         before, after = float(np.median(levels[:k])), levels[k:]
         since = np.arange(len(after)) + 0.5
         step, slope = float(np.median(after)) - before, float(np.median((after - before) / since))
         for size, shape, sudden in ((step, step, True), (slope * len(after), slope * since, False)):
-            left = float(np.abs(levels[:k] - before).sum() + np.abs(after - before - shape).sum())
-            if total > 0 and 1 - left / total > best.explained:
-                best = _Course(Change(size, int(there[k]) * length, sudden), 1 - left / total)
+            left = np.abs(np.append(levels[:k] - before, after - before - shape))
+            kept = ~_passing(left, FIT.outstanding * abs(size))
+            total = float(np.abs(levels - np.median(levels))[kept].sum())
+            explained = 1 - float(left[kept].sum()) / total if total > 0 else 0.0
+            if explained > best.explained:
+                best = _Course(Change(size, int(there[k]) * length, sudden), explained)
     return _with_growth(best, levels, there * length)
+
+
+def _passing(left: Floats, large: float) -> NDArray[np.bool_]:
+    """Return the parts in which a difference is far away for a while, by another fault that has ended; none if these are many."""
+    far = left > large
+    few, ended = far.mean() < 1 - FIT.rare, not far[-FIT.least_before :].any()
+    return far if few and ended else np.zeros_like(far)
 
 
 def _with_growth(best: _Course, levels: Floats, steps: NDArray[np.intp]) -> _Course:
