@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from os.path import splitext
 from typing import TYPE_CHECKING
@@ -184,8 +184,17 @@ def _alike(name: str, other: str) -> bool:
     return not shared or bool(get_close_matches(stem, [other_stem], cutoff=0.6))
 
 
+def _close(name: str, names: Sequence[str]) -> list[str]:
+    """Return up to three similar names; of the signals of a known block those of similar ends: all begin alike."""
+    block, dot, end = name.rpartition(".")
+    of_block = {n.rpartition(".")[2]: n for n in names if n.rpartition(".")[0] == block}
+    if dot and of_block:
+        return [of_block[n] for n in _close(end, sorted(of_block))]
+    return [n for n in get_close_matches(name, names, n=3, cutoff=0.6) if _alike(name, n)]
+
+
 def did_you_mean(name: object, names: Iterable[str], before: str = "", others: Iterable[str] = ()) -> str:
-    """Return the end of a message about an unknown name: similar names if there are any, else all names.
+    """Return the end of a message about an unknown name: similar names if there are any, else all names (of the block).
 
     `before` stands before each name in the message. Of `others` only similar ones are named.
     """
@@ -193,11 +202,12 @@ def did_you_mean(name: object, names: Iterable[str], before: str = "", others: I
     names = sorted({*listed, *others})
     wrong = str(name).lower()
     near = [n for n in names if n.lower() == wrong] or [n for n in names if n.lower().endswith(f".{wrong}")][:3]
-    near = near or [n for n in get_close_matches(str(name), names, n=3, cutoff=0.6) if _alike(str(name), n)]
+    near = near or _close(str(name), names)
     near = near or [n for n in names if len(wrong) > 2 and n.lower().startswith(wrong)][:3]
     if near:
         return f"did you mean {' or '.join(repr(before + n) for n in near)}?"
     if not listed:
         return "there are none."
+    listed = [n for n in listed if n.rpartition(".")[0] == str(name).rpartition(".")[0]] or listed
     shown = ", ".join(before + n for n in listed[:12]) + (f", and {len(listed) - 12} more" if len(listed) > 12 else "")
     return f"known names: {shown}."

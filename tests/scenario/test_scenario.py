@@ -411,7 +411,7 @@ WRONG = {
     ),
     "signal of a condition": (
         ("start = 6.0", "start = { signal = 'plant.w', relation = '>', value = 22 }"), UnknownNameError,
-        ["'freeze_0'", "'plant.w'", "did you mean 'plant.v'"],
+        ["'freeze_0'", "'plant.w'", "known names: plant.disturbance, plant.force, plant.v."],
     ),
     "matrix": (("A = [[0.999]]", "A = [[0.999, 1.0]]"), ModelError, ["'model'", "square"]),
     "kind of a linear plant": (

@@ -73,9 +73,9 @@ def test_signals(result):
     assert all(np.shares_memory(result[name], result[name]) for name in result)  # views, no copies
     assert repr(result) == "<Result: 3 signals, 8 rows to t = 0.466667 s>"
     assert result.stopped is None
-    with pytest.raises(cosim.UnknownNameError, match=r"The result has no signal 'block.d'; did you mean"):
+    with pytest.raises(cosim.UnknownNameError, match=r"no signal 'block.d'; known names: block.a, block.b, block.c\.$"):
         result["block.d"]
-    with pytest.raises(cosim.UnknownNameError, match=r"no signal 'block.u'; did you mean [^=]*'block.a'\?$"):
+    with pytest.raises(cosim.UnknownNameError, match=r"no signal 'block.u'; known names: block.a,"):
         result["block.u"]
     with pytest.raises(cosim.UnknownNameError, match=r"no signal 'quad.c'; did you mean 'block.c'\?$"):
         result["quad.c"]
