@@ -220,7 +220,7 @@ class LinearLoop:
     def __repr__(self) -> str:
         states = len(self._opened.A)
         return (
-            f"<LinearLoop of {states} states at {self.dt:g} s: goals for {', '.join(self.parts.tracked) or 'none measured'}; "
+            f"<LinearLoop of {states} states at {self.dt:g} s: goals for {', '.join(self.parts.tracked) or 'no signal'}; "
             f"controls {', '.join(self.parts.controls)}>"
         )
 
@@ -230,7 +230,7 @@ class LinearLoop:
         shown = ", ".join(f"{pole:.4g}" for pole in poles[:SHOWN])
         rows = [
             ("sample time", f"{self.dt:g} s"),
-            ("goals for", ", ".join(self.parts.tracked) or "none measured"),
+            ("goals for", ", ".join(self.parts.tracked) or "no signal"),
             ("controls", ", ".join(self.parts.controls)),
             ("stable", "yes" if self._is_stable else "no"),
             (f"largest of {counted(len(poles), 'pole')}", shown),
@@ -281,7 +281,8 @@ class LinearLoop:
         tracked = tuple(self.parts.tracked)
         if not tracked:
             raise ModelError(
-                "No measured signal has its own goal in this loop, so that there is no response from goal to signal. The "
+                "No measured signal, and no output of the plant, has its own goal in this loop, so that there is no response "
+                "from goal to signal. Give the plant an output for the goal, with the name that design(goal=...) has. The "
                 "property closed has the response of the controls: linear.closed of linear = loop.linear(...)."
             )
         name = tracked[self._number(tracked, goal, "tracked signal", "goal")]

@@ -19,7 +19,7 @@ from bayesftc.cosim.control.differences import equations, parted, slopes
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.nodes import Node
 from bayesftc.cosim.diagram.opening import part_of
-from bayesftc.cosim.diagram.roles import find_roles
+from bayesftc.cosim.diagram.roles import QuantityRole, find_roles
 from bayesftc.cosim.diagram.subsystem import Boundary
 from bayesftc.cosim.diagram.wiring import dead_time, element_name, find_controller, find_sensors, healthy_source
 from bayesftc.cosim.errors import ModelError
@@ -46,7 +46,8 @@ class Parts:
     Attributes
     ----------
     without_delay : Matrices
-        The plant from the controls to the measured signals, without the dead times of the controls.
+        The plant from the controls to the measured signals, and to its other outputs with a goal, without the dead times of the
+        controls.
     within : Held
         What the controls do to the plant within a sample.
     delays : tuple of Fraction
@@ -54,9 +55,9 @@ class Parts:
     controller : Matrices
         From ``y`` and the goals, one after the other, to the controls, with the dead times of the samples.
     sensors : ndarray
-        The measurement matrix, from the signals to the sensors.
+        The measurement matrix, from the signals to the sensors. A signal with a goal but without a sensor has a column of zeros.
     tracked : mapping of str to (int, ndarray)
-        The measured quantities with a goal, by name: the number of the goal, and the coefficients of the signals.
+        The quantities with a goal, by name: the number of the goal, and the coefficients of the signals.
     controls, goals : tuple of str
         The plant's inputs in the order of ``u``; the elements of the goal.
     step : Fraction
@@ -115,12 +116,17 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
     node, measured = _measured(diagram, sensors)
     driven = _driven(diagram, node, controller)
     step = diagram.step * controller.every
+    quantities = [each for each in find_roles(diagram).quantities if each.goal is not None]
+    aims = {} if plant is not None else _unmeasured(node, quantities)
     linear, within = (
         _of_system(plant, step, rows)
         if plant is not None
-        else _of_block(diagram, node, driven, measured, step, _plant_inputs(diagram, node, driven, controller))
+        else _of_block(
+            diagram, node, driven, [*measured, *aims.values()], step, _plant_inputs(diagram, node, driven, controller)
+        )
     )
-    p, q = len(driven), len(measured)
+    rows = np.hstack([rows, np.zeros((len(rows), len(aims)))])
+    p, q = len(driven), len(measured) + len(aims)
     if linear.D.shape != (q, p):
         raise ModelError(
             f"plant= has {linear.D.shape[1]} inputs and {linear.D.shape[0]} outputs, but the loop has {p} controls and {q} "
@@ -134,9 +140,11 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
         delays = [_dead_time(diagram, node, *element, diagram.step * node.every) / step for element in driven]
         law = late(law, [_dead_time(diagram, controller, y, i, step) / step for i in range(y.size)])
     goals = tuple(element_name(controller.port("goal"), i) for i in range(controller.port("goal").size))
-    quantities = find_roles(diagram).quantities
+    alone = dict(zip(aims, np.eye(q)[len(measured) :], strict=True))
     tracked = {
-        each.name: (each.goal, rows[each.sensors[0]]) for each in quantities if each.goal is not None and each.sensors
+        each.name: (each.goal, rows[each.sensors[0]] if each.sensors else alone[each.name])
+        for each in quantities
+        if each.goal is not None and (each.sensors or each.name in alone)
     }
     return Parts(linear, within, tuple(delays), law, rows, tracked, names, goals, step)
 
@@ -161,6 +169,16 @@ def _measured(diagram: Diagram, sensors: Node) -> tuple[Node, list[Element]]:
             f"The sensors {sensors.name!r} read signals of {len(nodes)} blocks, so that there is no single plant. {_WHOLE}"
         )
     return origins[0][0].node, [(origin[0].port, origin[1]) for origin in origins if origin is not None]  # type: ignore[index]
+
+
+def _unmeasured(node: Node, quantities: Iterable[QuantityRole]) -> dict[str, Element]:
+    """Return the outputs of the plant that have a goal but no sensor, by the name of their quantity."""
+    places = {(f"{node.name}.{port.name}", i): (port, i) for port in node.block.outputs for i in range(port.size)}
+    return {
+        each.name: places[each.truth[0][1]]
+        for each in quantities
+        if not each.sensors and each.truth and each.truth[0][1] in places
+    }
 
 
 def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:

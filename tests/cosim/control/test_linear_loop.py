@@ -684,3 +684,26 @@ def test_a_bode_plot_may_be_in_hertz_and_over_other_frequencies():
     for wrong in ([0.0, 1.0], [2.0, 1.0], [1.0], [1.0, 40.0]):
         with pytest.raises(ModelError, match=r"half of the sampling frequency, 31.4159 rad/s"):
             loop.bode(omega=wrong)
+
+
+def test_a_goal_on_an_output_without_a_sensor_has_a_step_response():
+    """As an area control error: the response is that of a run without noise, and margins are those without the output."""
+    seen = np.array([[1.0, 0.0], [0.4, 1.0]])
+    block = cosim.StateSpace(control.ss(A, B, seen, 0, DT, inputs=["force"], outputs=["position", "aim"]))
+    controller = controllers.design(
+        block, measured="position", actuated="force", goal="aim", dt=DT, sensors=2, sensor_std=0.01, loads=None,
+        noise={"force": 0.01}, acceptable_error=0.1, acceptable_control=2.0,
+    )  # fmt: skip
+    loop = loop_of(controller, block, sensors=cosim.Sensors(2, 0.0))
+    run = loop.simulate(6.0, engine="interpreted")
+    linear = loop.linear()
+    response = control.step_response(linear.closed[0, 0], run.time).outputs
+    np.testing.assert_allclose(run["plant.aim"], response, atol=1e-6)
+    assert loop.step_info() == loop.step_info("aim", "aim")
+    assert linear.zeros("aim").size
+    without = loop_of(controller, cosim.StateSpace(control.ss(A, B, H, 0, DT, inputs=["force"], outputs=["position"])))
+    np.testing.assert_allclose(linear.poles(), without.poles(), atol=1e-9)
+    with pytest.raises(
+        ModelError, match="No measured signal, and no output of the plant, has its own goal in this loop"
+    ):
+        without.step_info()
