@@ -18,9 +18,10 @@ from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import External
 from bayesftc.cosim.control.differences import BENDS
-from bayesftc.cosim.errors import BayesFTCError, ModelError
+from bayesftc.cosim.errors import BayesFTCError, ModelError, StepSizeError
 from bayesftc.cosim.fmi.fmu import FMU
 from bayesftc.cosim.fmi.reading.archive import open_archive
+from bayesftc.cosim.fmi.running.instance import only_step
 from bayesftc.cosim.ports import labels
 from bayesftc.cosim.types import Floats
 
@@ -72,6 +73,7 @@ class Experiments:
 
     def __init__(self, fmu: FMU, step: Fraction, held: Floats, rows: Sequence[int]):
         self._fmu, self.step, self.held, self._rows = fmu, step, held, list(rows)
+        self._parts = _parts(fmu, step)
         self._outputs = np.zeros(sum(port.size for port in fmu.outputs or ()))  # type: ignore[union-attr, misc]
         self._waited = 0
         self._plant: External | None = None
@@ -162,7 +164,7 @@ class Experiments:
             self._plant.restore(self._saved)
             return self._plant
         self._close()
-        plant = self._plant = self._fmu.instantiate(self.step, self._fmu.default_name)
+        plant = self._plant = self._fmu.instantiate(self.step / self._parts, self._fmu.default_name)
         for k in range(self._waited):
             self._advance(plant, self.held.copy(), k)
         if plant.can_save:
@@ -170,19 +172,37 @@ class Experiments:
         return plant
 
     def _advance(self, plant: External, inputs: Floats, k: int) -> Floats:
-        """Make a step; return the outputs before it."""
-        t, outputs = float(k * self.step), self._outputs
-        status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
-        if status:
-            reason = plant.explain(status)
-            self._close()
-            raise ModelError(f"The plant {self._fmu.default_name!r} failed in an experiment at t = {t:g} s: {reason}")
-        return np.array(outputs[self._rows])
+        """Make a step, in parts if the plant needs it; return the outputs before it."""
+        outputs, before = self._outputs, self._outputs
+        for part in range(self._parts):
+            t = float(k * self.step + part * self.step / self._parts)
+            status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
+            if status:
+                reason = plant.explain(status)
+                self._close()
+                raise ModelError(
+                    f"The plant {self._fmu.default_name!r} failed in an experiment at t = {t:g} s: {reason}"
+                )
+            before = outputs[self._rows] if part == 0 else before
+        return np.array(before)
 
     def _close(self) -> None:
         plant, self._plant, self._saved = self._plant, None, None
         if plant is not None:
             plant.close()
+
+
+def _parts(fmu: FMU, step: Fraction) -> int:
+    """Return the number of the plant's own steps in a step of the model: more than one if it makes steps of one size only."""
+    own = only_step(fmu.description)
+    if own is None:
+        return 1
+    if (step / own).denominator != 1:
+        raise StepSizeError(
+            f"The plant {fmu.default_name!r} makes steps of {show(own)} s only, but the model has dt = {show(step)} s. Give a dt "
+            f"that is a multiple of {show(own)} s."
+        )
+    return int(step / own)
 
 
 def _shrinks(changes: Sequence[float]) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.base.timebase import rational_step, show
 from bayesftc.cosim.errors import FMUError, StepSizeError
 from bayesftc.cosim.fmi.binaries.codes import (
     DISCARD,
@@ -37,7 +37,7 @@ from bayesftc.cosim.fmi.binaries.codes import (
 )
 from bayesftc.cosim.fmi.binaries.groups import Group
 from bayesftc.cosim.fmi.binaries.library import Beginning, CallError, Library
-from bayesftc.cosim.fmi.reading.description import FMUVariable
+from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable
 from bayesftc.cosim.fmi.reading.messages import ENDS, Messages, status_word
 from bayesftc.cosim.fmi.reading.versions import prefix
 from bayesftc.cosim.fmi.running.own_inputs import own_inputs
@@ -46,6 +46,8 @@ from bayesftc.cosim.fmi.running.states import SavedState, States
 from bayesftc.cosim.fmi.running.steps import StepFunctions
 from bayesftc.cosim.fmi.running.written import check_written
 from bayesftc.cosim.types import Floats
+
+_ANY_STEP = "canHandleVariableCommunicationStepSize"
 
 _MODE = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 _UPDATE = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 7)
@@ -170,7 +172,7 @@ class Instance(StepFunctions):
     @property
     def can_resize(self) -> bool:
         """Whether steps may have any size."""
-        return bool(self._library.description.capabilities.get("canHandleVariableCommunicationStepSize"))
+        return bool(self._library.description.capabilities.get(_ANY_STEP))
 
     @property
     def state_functions(self) -> tuple[int, int, int, int] | None:
@@ -281,7 +283,27 @@ def _fixed_size(library: Library) -> float:
     return size if isfinite(size) and size > 1e-300 else 0.0
 
 
+def only_step(description: FMUDescription) -> Fraction | None:
+    """Return the only step size of an FMU that this package exported from a diagram, in seconds; None of other FMUs."""
+    own = description.default_experiment.get("stepSize")
+    if description.generation_tool != "bayesftc" or not own or description.capabilities.get(_ANY_STEP):
+        return None
+    return rational_step(own)
+
+
 def _check_step(library: Library, name: str, step: Fraction) -> None:
+    only = only_step(library.description)
+    if only is not None and abs(step - only) > 1e-9 * only:
+        whole = step > only and (step / only).denominator == 1
+        remedy = (
+            f"Give the loop dt = {show(only)}, in a scenario below [simulation]. The controller keeps its own sample time."
+            if whole
+            else f"Choose dt, or every=, so that its step is {show(only)} s."
+        )
+        raise StepSizeError(
+            f"The FMU {library.description.name!r} makes steps of {show(only)} s only, but {name!r} has steps of {show(step)} s. "
+            f"{remedy}"
+        )
     size = _fixed_size(library)
     if size and abs(float(step) / size - max(round(float(step) / size), 1)) > 1e-9 * float(step) / size:
         raise StepSizeError(
