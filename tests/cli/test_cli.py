@@ -24,6 +24,7 @@ from bayesftc.cli.application import COMMANDS
 from bayesftc.cli.commands.loops import _compare as compare_module, run as run_module
 from bayesftc.cli.guard import guarded
 from bayesftc.cosim import Result
+from bayesftc.cosim.judging.figures import loop_figure
 from bayesftc.cosim.judging.metrics import figures, limited
 from bayesftc.cosim.judging.roles import loop_signals
 from bayesftc.monitoring import load_monitor
@@ -552,6 +553,23 @@ def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figure.png", "figures.json", "result.npz"]
     assert Result.load(tmp_path / "out" / "result.npz").stopped
     assert json.loads((tmp_path / "out" / "figures.json").read_text())["stopped"]
+
+
+def test_a_figure_that_cannot_be_drawn_does_not_take_the_signals_with_it(bayesftc_, tmp_path, monkeypatch):
+    def fail(*_):
+        raise ValueError("no limits")
+
+    monkeypatch.setattr(loop_figure, "plot_run", fail)
+    done = run_car(bayesftc_, "--out", "out", "--duration", "1")
+    assert done.exit_code == 70
+    assert (
+        "figure.png could not be drawn (ValueError: no limits); result.npz and figures.json are written." in done.output
+    )
+    assert "Written to out: result.npz, figures.json" in done.output
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures.json", "result.npz"]
+    (tmp_path / "car.toml").write_text(CAR.replace("v0 = 20.0", "m = 1e-320, v0 = 20.0"))
+    assert bayesftc_("run", "car.toml", "--out", "stopped").exit_code == 11  # the figure is not what to say last
+    assert (tmp_path / "stopped" / "result.npz").is_file()
 
 
 def test_a_folder_that_cannot_be_written_is_known_before_the_run(bayesftc_, tmp_path, monkeypatch):

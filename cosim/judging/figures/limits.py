@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesftc.cosim.base.numbers import MAD
+from bayesftc.cosim.judging.figures.panels import drawable
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ def _middle(samples: Sequence[Floats]) -> tuple[float, float]:
 
 def _ends(lines: Sequence[Floats]) -> tuple[float, float] | None:
     """Return the smallest and the largest of all values; None if there are none."""
-    finite = np.concatenate([values[np.isfinite(values)] for values in lines] or [np.zeros(0)])
+    finite = drawable(np.concatenate([values[np.isfinite(values)] for values in lines] or [np.zeros(0)]))
     return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 

@@ -21,7 +21,16 @@ from bayesftc.cosim.judging.figures.fault_panels import (
     name_faults,
 )
 from bayesftc.cosim.judging.figures.limits import limit_axis
-from bayesftc.cosim.judging.figures.panels import broken, finish, legend, make_panels, thin, thin_marks, with_peaks
+from bayesftc.cosim.judging.figures.panels import (
+    broken,
+    drawable,
+    finish,
+    legend,
+    make_panels,
+    thin,
+    thin_marks,
+    with_peaks,
+)
 from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, MARKERS, colour_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
@@ -130,7 +139,7 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
         cut = [quantity.belief - NORMAL_95 * quantity.spread, quantity.belief + NORMAL_95 * quantity.spread]
         what = "95 % interval"  # wide before the first samples, while the belief is inside
         kept = with_peaks(quantity.belief)
-        low, high = (limit[kept] for limit in cut)
+        low, high = (drawable(limit[kept]) for limit in cut)
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
         axis.fill_between(time[kept], low, high, label="belief: 95 % interval", **style)
     axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
@@ -158,7 +167,7 @@ def _draw_errors(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None
         axis.plot(*thin(time, whole[0]), color=BLUE, ls=(0, (5, 2)), lw=1.0, zorder=5, label="belief - true value")
         if quantity.spread is not None:
             kept = with_peaks(quantity.spread)
-            half = NORMAL_95 * quantity.spread
+            half = drawable(NORMAL_95 * quantity.spread)
             style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
             axis.fill_between(
                 time[kept], -half[kept], half[kept], label="95 % interval of\nthe belief's error", **style

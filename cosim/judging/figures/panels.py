@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+LARGEST = 1e300
+"""Values beyond it, as of a run that diverges, are drawn there: matplotlib adds margins to the ends of a line."""
 MOST_POINTS = 20_000
 """A line with more points than this is thinned, because no print shows more."""
 MOST_ROWS = 3
@@ -129,7 +131,12 @@ def broken(label: str, height: float, size: float = 10.0) -> str:
 def thin(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return a line with at most as many points as a print shows."""
     kept = with_peaks(values)
-    return time[kept], values[kept]
+    return time[kept], drawable(values[kept])
+
+
+def drawable(values: Floats) -> Floats:
+    """Return values as far as matplotlib can draw them; those that are not finite stay, and are not drawn."""
+    return np.where(np.isfinite(values), np.clip(values, -LARGEST, LARGEST), values)
 
 
 def with_peaks(values: Floats) -> NDArray[np.intp]:
@@ -146,12 +153,12 @@ def with_peaks(values: Floats) -> NDArray[np.intp]:
 def thin_marks(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Return about as many points as a print shows: one of each few, and outliers; extremes alone would look like more noise."""
     if len(time) <= MOST_POINTS or not np.isfinite(values).any():
-        return time[:MOST_POINTS], values[:MOST_POINTS]
+        return time[:MOST_POINTS], drawable(values[:MOST_POINTS])
     low, high = np.nanquantile(values, [0.02, 0.98])
     beyond = np.flatnonzero(np.abs(values - 0.5 * (low + high)) > 2.0 * (high - low))
     few = np.arange(0, len(time), -(-len(time) // MOST_POINTS))
     kept = np.union1d(few, beyond[:: 1 + len(beyond) // MOST_POINTS])
-    return time[kept], values[kept]
+    return time[kept], drawable(values[kept])
 
 
 def name_spans(axis: Axes, time: Floats, spans: Sequence[Span], note: str) -> None:

@@ -71,8 +71,11 @@ def note_replaced(files: Iterable[Path]) -> None:
         say_notes([f"{', '.join(there)} exist{'s' * (len(there) == 1)} already, and will be replaced."])
 
 
-def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> None:
+def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signals: LoopSignals) -> Exception | None:
     """Write ``result.npz``, ``figures.json`` and ``figure.png``, or, if one fails, none of them and no folder.
+
+    A figure that cannot be drawn does not take the signals with it: the other files are written without it, and its error is
+    returned, to be raised once the run is shown.
 
     Raises
     ------
@@ -83,13 +86,21 @@ def write_files(folder: Path, result: Result, numbers: Mapping[str, Any], signal
 
     text = as_json(numbers) + "\n"
     title = ", ".join([Path(numbers["scenario"]).stem, f"seed {numbers['seed']}", *result.notes])
-    picture = io.BytesIO()
-    with reported("Drawing the figure, for some seconds."):
-        plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
+    picture, failed = io.BytesIO(), None
+    try:
+        with reported("Drawing the figure, for some seconds."):
+            plot_run(signals, title).savefig(picture, dpi=DOTS_PER_INCH, format="png")
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must not take the run with it
+        failed = error
+        say_notes(
+            [f"{FIGURE} could not be drawn ({type(error).__name__}: {error}); {RESULT} and {NUMBERS} are written."]
+        )
     with staged(folder) as stage:
         result.save(stage / RESULT)
         (stage / NUMBERS).write_text(text, encoding="utf-8")
-        (stage / FIGURE).write_bytes(picture.getbuffer())
+        if failed is None:
+            (stage / FIGURE).write_bytes(picture.getbuffer())
+    return failed
 
 
 @contextmanager
@@ -264,10 +275,10 @@ def _of_model(numbers: Mapping[str, Any]) -> str:
     return f"The {which} have not enough evidence against the controller's model to name an error."
 
 
-def say_written(folder: Path) -> None:
-    """Print the files of a run."""
+def say_written(folder: Path, undrawn: Exception | None = None) -> None:
+    """Print the files of a run, whose figure may be `undrawn`."""
     _, say = sayer()
-    say(f"\nWritten to {folder}: {RESULT}, {FIGURE}, {NUMBERS}")
+    say(f"\nWritten to {folder}: {', '.join([RESULT, *([] if undrawn else [FIGURE]), NUMBERS])}")
 
 
 def _print_table(

@@ -5,7 +5,7 @@ import pytest
 
 from bayesftc.cosim.judging.figures.limits import limit_axis, limits_with_samples, mark_cut
 from bayesftc.cosim.judging.figures.loop_figure import draw_quantity
-from bayesftc.cosim.judging.figures.panels import make_panels
+from bayesftc.cosim.judging.figures.panels import finish, make_panels
 from bayesftc.cosim.judging.signals import QuantitySignals
 
 TIME = np.linspace(0.0, 10.0, 1001)
@@ -42,6 +42,21 @@ def test_other_axes_stay_as_they_are(whole, cut):
     before, after, texts = limits(whole, cut)
     assert before == after
     assert not texts
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("end", [1.7e308, -1.7e308, np.inf, np.nan])
+def test_a_panel_of_a_run_that_overflows_is_drawn(end, tmp_path):
+    figure, (axis,) = make_panels([2.0])
+    grown = np.where(TIME < 9.9, WAVE, end)
+    with np.errstate(over="ignore", invalid="ignore"):
+        quantity = QuantitySignals("level", "m", (0,), grown, WAVE, -grown, True, True, np.abs(grown))
+        draw_quantity(axis, time=TIME, quantity=quantity)
+        limit_axis(axis, TIME, [], [np.where(TIME < 0.2, 50.0, WAVE), grown])
+        assert np.isfinite(limits_with_samples([grown], [grown])).all()
+    finish([axis], TIME)
+    figure.savefig(tmp_path / "figure.png")
+    assert np.isfinite(axis.get_ylim()).all()
 
 
 def test_the_wide_interval_of_the_first_belief_is_cut_off():

@@ -147,16 +147,15 @@ def _repeat(stored: _StoredRun, out: Path | None, json: bool, quiet: bool) -> No
     failed = add_findings(numbers, diagram, result, signals)
     if not json and not quiet:
         output.print_report(numbers)
-    if out is not None:
-        output.write_files(out, result, numbers, signals)
+    undrawn = None if out is None else output.write_files(out, result, numbers, signals)
     if json:
         typer.echo(output.as_json(numbers))
     elif not quiet:
         if out is not None:
-            output.say_written(out)
+            output.say_written(out, undrawn)
     elif result.stopped:
         sys.stderr.write(f"{result.stopped}\n")
-    if failed is not None:
+    if failed := failed or undrawn:
         raise failed
 
 

@@ -126,14 +126,13 @@ def run(
             numbers["notes"].append(NOT_COMPARED)
     if not json and not quiet:
         output.print_report(numbers)  # the figure takes seconds
-    if out is not None:
-        output.write_files(out, result, numbers, signals)
+    undrawn = None if out is None else output.write_files(out, result, numbers, signals)
     if json:
         numbers["notes"] += notes
         typer.echo(output.as_json(numbers))
     elif out is not None and not quiet:
-        output.say_written(out)
-    if failed is not None:
+        output.say_written(out, undrawn)
+    if failed := failed or undrawn:
         raise failed
 
 
