@@ -34,6 +34,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.wiring import find_inference, inferring, is_linear
 from bayesftc.cosim.errors import ModelError
+from bayesftc.cosim.judging.lost import before, loss_in
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -47,6 +48,9 @@ COMPARING = "Comparing the samples with the model, for seconds to a minute."
 
 UNJUDGED = "Faults of several sensors may look the same: this controller does not infer them."
 """What is said where no fault probabilities tell a fault of each set of sensors from a wrong model."""
+
+NO_ERROR = "The samples before do not have enough evidence against the model to name an error."
+"""What is said of a loop that is lost with what may be the right model."""
 
 OPEN = {*FLEXIBLE, "unknown"}
 """Kinds of findings that name no cause, or may fit to what happens at times only."""
@@ -73,8 +77,9 @@ def diagnose(
     Returns
     -------
     ModelFinding or None
-        The best explanation of the run. Without one, but with a recorded `model_suspect` above one half, the kind is
-        ``"unknown"``. None does not show that the model is right: a longer run may have enough evidence.
+        The best explanation of the run; of a loop that is lost, of the samples before. Without one, but with a recorded
+        `model_suspect` above one half, the kind is ``"unknown"``. None does not show that the model is right: a longer run may
+        have enough evidence.
 
     Raises
     ------
@@ -96,6 +101,11 @@ def diagnose(
     >>> controllers.diagnose(run, controller).kind
     'sign'
     """
+    if (loss := loss_in(signals)) is not None:
+        earlier = diagnose(before(signals, loss), controller, y=y, name=name)  # type: ignore[arg-type]
+        if earlier is None:
+            return ModelFinding("lost", f"{loss.sentence} {NO_ERROR} {loss.todo}")
+        return replace(earlier, sentence=f"{loss.sentence} Of the samples before: {earlier.sentence}")
     linear = isinstance(controller, Diagram) and is_linear(controller)
     if isinstance(controller, Diagram):
         node = find_inference(controller)

@@ -29,7 +29,7 @@ class ModelFinding:
         ``"sensors"`` (one or several sensors failed: without the samples for which the controller blames them there is no
         evidence against the model; the explanation for healthy sensors is among the `others`),
         ``"start"`` (the belief starts where the samples exclude it),
-        ``"unknown"``.
+        ``"lost"`` (the plant has left for good, without evidence against the model before), ``"unknown"``.
     sentence : str
         What is wrong, and what to do.
     values : tuple of float

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from bayesftc.cosim.diagram.diagram import Diagram
     from bayesftc.cosim.judging.figures.notebook import NotebookAnimation
+    from bayesftc.cosim.judging.lost import Loss
     from bayesftc.cosim.judging.signals import LoopSignals
     from bayesftc.cosim.run.summary import RunSummary
 
@@ -272,12 +273,13 @@ class Result(Mapping[str, Floats]):
 
     def _explained(self, why: str = f" ({DIAGNOSE} looks for the cause)") -> list[str]:
         """Return the notes, with `why` after each that a diagnosis explains."""
-        notes = ["stopped early"] if self.stopped else []
+        notes, sound = ["stopped early"] if self.stopped else [], self._sound
+        notes += [] if self._loss is None else [self._loss.note]
         wrong = [
-            f"model of {block} suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s"
-            for block, k in self._suspect.items()
+            f"model of {block} suspect{sound._or_sensors(block, k)} from t = {self.time[k]:g} s"
+            for block, k in sound._suspect.items()
         ]
-        model, named, often = (self._agreement[of] for of in ("model", "named", "often"))
+        model, named, often = (sound._agreement[of] for of in ("model", "named", "often"))
         limited = [note for note, _ in self._limited]
         speaking = [*wrong, *model]
         speaking[-1:] = [f"{text}{why}" for text in speaking[-1:]]
@@ -286,25 +288,41 @@ class Result(Mapping[str, Floats]):
     @property
     def suspicions(self) -> list[str]:
         """Sentences on evidence against a model: from when ``model_suspect`` is above one half, and blamed sensors that agree."""
+        sound = self._sound
         suspect = [
-            f"The model of {block} is suspect{self._or_sensors(block, k)} from t = {self.time[k]:g} s."
-            for block, k in self._suspect.items()
+            f"The model of {block} is suspect{sound._or_sensors(block, k)} from t = {self.time[k]:g} s."
+            for block, k in sound._suspect.items()
         ]
-        return [*suspect, *(f"{text[0].upper()}{text[1:]}." for text in self._agreement["model"])]
+        return [*suspect, *(f"{text[0].upper()}{text[1:]}." for text in sound._agreement["model"])]
 
     def _sentences(self) -> list[str]:
         """Return the notes as sentences."""
-        notes = ["The run stopped early."] if self.stopped else []
+        notes, sound = ["The run stopped early."] if self.stopped else [], self._sound
+        notes += [] if self._loss is None else [f"{self._loss.sentence} {self._loss.advice}"]
         wrong = self.suspicions
-        named, often = ([f"{text[0].upper()}{text[1:]}." for text in self._agreement[of]] for of in ("named", "often"))
+        named, often = ([f"{text[0].upper()}{text[1:]}." for text in sound._agreement[of]] for of in ("named", "often"))
         cause = (
             f"If it is wrong, sensors may be blamed because of it. {DIAGNOSE} looks for the cause; None means too little "
             f"evidence for any, not that the model is right. {ESTIMATE_A_LOAD}"
         )
-        blamed = [] if wrong else [f"{text} {self._advice}" for text in often]
+        blamed = [] if wrong else [f"{text} {sound._advice}" for text in often]
         limited = [f"The {note}. {advice}" for note, advice in self._limited]
         wrong[-1:] = [f"{text} {cause}" for text in wrong[-1:]]
         return [*notes, *wrong, *named, *blamed, *limited]
+
+    @cached_property
+    def _loss(self) -> Loss | None:
+        """From when the loop is lost, if it is."""
+        from bayesftc.cosim.judging.lost import loss_in
+
+        return loss_in(self)
+
+    @cached_property
+    def _sound(self) -> Result:
+        """The rows before the loop was lost: later ones say nothing of its model and its noise."""
+        from bayesftc.cosim.judging.lost import before
+
+        return before(self, self._loss)
 
     @cached_property
     def _suspect(self) -> dict[str, int]:

@@ -28,7 +28,14 @@ SCATTER = 6.0
 """Range of the noise, in standard deviations."""
 
 
-def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[Floats], what: str = "") -> None:
+def limit_axis(
+    axis: Axes,
+    time: Floats,
+    whole: Sequence[Floats],
+    cut: Sequence[Floats],
+    what: str = "",
+    until: int | None = None,
+) -> None:
     """Limit an axis to what a run needs after its start, if a transient there would squeeze the rest; mark what is cut off.
 
     Parameters
@@ -43,9 +50,12 @@ def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[
         Lines whose start may be outside, such as the belief.
     what : str
         Name of these lines in the marks; empty if it is clear.
+    until : int, optional
+        The first row of a loop that is lost, which the axis need not show; then all lines may be outside.
     """
-    later = int(np.ceil(SHARE * len(time)))
-    needed, every = _ends([*whole, *(values[later:] for values in cut)]), _ends([*whole, *cut])
+    later = int(np.ceil(SHARE * len(time))) if until is None else 0
+    kept = [*(values[:until] for values in whole), *(values[later:until] for values in cut)]
+    needed, every = _ends(kept), _ends([*whole, *cut])
     if needed is None or every is None:
         return
     (low, high), (lowest, highest) = needed, every
@@ -54,7 +64,7 @@ def limit_axis(axis: Axes, time: Floats, whole: Sequence[Floats], cut: Sequence[
     space = MARGIN * (high - low)
     low, high = low - space, high + space
     axis.set_ylim(low, high)
-    mark_cut(axis, time, cut, (low, high), what)
+    mark_cut(axis, time, cut if until is None else [*whole, *cut], (low, high), what if until is None else "")
 
 
 def mark_cut(axis: Axes, time: Floats, cut: Sequence[Floats], limits: tuple[float, float], what: str = "") -> None:

@@ -32,6 +32,7 @@ from bayesftc.cosim.judging.figures.panels import (
     with_peaks,
 )
 from bayesftc.cosim.judging.figures.plotting import BLACK, BLUE, MARKERS, colour_of
+from bayesftc.cosim.judging.lost import loss_of
 from bayesftc.cosim.judging.signals import ControlSignals, InputSignals, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.types import Floats
 
@@ -56,6 +57,9 @@ COINCIDE = 0.01
 MOST_SHADED = 2
 """Largest number of faulty sensors whose faults are shaded in one panel, because the colours of more mix."""
 
+AT_LOSS: dict[str, Any] = {"color": "#CC0000", "ls": (0, (1, 1)), "lw": 1.4, "zorder": 7}
+"""Look of the line at which a loop is lost."""
+
 _Panels = list[tuple[float, Callable[["Axes"], None], Sequence[int]]]
 """Panels: height, function that draws it, and the sensors of which the faults are shaded."""
 
@@ -79,6 +83,7 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
       no such panel.
 
     If a transient at the start would squeeze a panel, its belief or control is cut off there, with marks and the largest value.
+    So are all lines and samples of a loop that is lost, from shortly before it is; a vertical line marks when.
 
     Present faults are named at the top, and shaded in the panels that they concern; those of an input are hatched in all. Lines
     have gaps at missing samples, except probabilities of learners that infer dropouts, and keep the value of the last sample
@@ -93,14 +98,17 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     figure : Figure, optional
         An empty figure to draw on.
     """
+    loss = loss_of(signals)
+    until = None if loss is None else loss.shown
     panels: _Panels = []
     for quantity in signals.quantities:
-        panels.append((MAIN, partial(draw_quantity, time=signals.time, quantity=quantity), quantity.sensors))
+        at: dict[str, Any] = {"time": signals.time, "quantity": quantity, "until": until}
+        panels.append((MAIN, partial(draw_quantity, **at), quantity.sensors))
         if _coincide(quantity):
-            panels.append((NARROW, partial(_draw_errors, time=signals.time, quantity=quantity), quantity.sensors))
-        panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief)
+            panels.append((NARROW, partial(_draw_errors, **at), quantity.sensors))
+        panels += _strips(signals, [signals.sensors[i] for i in quantity.sensors], quantity.belief, until)
     if not signals.quantities:
-        panels += _strips(signals, signals.sensors, None)
+        panels += _strips(signals, signals.sensors, None, until)
     for j, control in enumerate(signals.controls):
         received = [each for each in signals.inputs if each.control == j]
         panels.append((NARROW, partial(_draw_control, time=signals.time, control=control, inputs=received), ()))
@@ -114,6 +122,10 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     for axis, (_, draw, shaded) in zip(axes, panels, strict=True):
         draw(axis)
         draw_shades(axis, signals, shaded)
+        if loss is not None:
+            axis.axvline(
+                float(signals.time[loss.row]), label="the loop is lost" if axis is axes[0] else None, **AT_LOSS
+            )
     name_faults(axes[0], signals)
     for axis in axes:
         legend(axis)
@@ -123,8 +135,8 @@ def plot_run(signals: LoopSignals, title: str | None = None, figure: Figure | No
     return drawing
 
 
-def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
-    """Draw the true value, the reference and the belief of a quantity."""
+def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals, until: int | None = None) -> None:
+    """Draw the true value, the reference and the belief of a quantity; the axis is scaled to the rows before `until`."""
     lines: list[tuple[str, Floats | None, dict[str, Any]]] = [
         # Broad and light below the others, because under a good controller the belief would hide the reference.
         ("reference", quantity.reference, {"color": "0.75", "ls": "-", "lw": 3.0, "zorder": 2}),
@@ -143,7 +155,8 @@ def draw_quantity(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> Non
         style: dict[str, Any] = {"color": BLUE, "alpha": 0.35, "lw": 0, "zorder": 3}
         axis.fill_between(time[kept], low, high, label="belief: 95 % interval", **style)
     axis.set_ylabel(broken(with_unit(quantity.name, quantity.unit), MAIN))
-    limit_axis(axis, time, [values for values in (quantity.truth, quantity.reference) if values is not None], cut, what)
+    whole = [values for values in (quantity.truth, quantity.reference) if values is not None]
+    limit_axis(axis, time, whole, cut, what, until)
 
 
 def _coincide(quantity: QuantitySignals) -> bool:
@@ -156,7 +169,7 @@ def _coincide(quantity: QuantitySignals) -> bool:
     return bool(size > 0.0) and float(np.quantile(apart[known], 0.9)) < COINCIDE * float(size)
 
 
-def _draw_errors(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None:
+def _draw_errors(axis: Axes, *, time: Floats, quantity: QuantitySignals, until: int | None) -> None:
     """Draw what the panel above does not resolve: the tracking error, and the error of the belief within its interval."""
     assert quantity.truth is not None
     assert quantity.reference is not None
@@ -174,10 +187,10 @@ def _draw_errors(axis: Axes, *, time: Floats, quantity: QuantitySignals) -> None
             )
             whole += [half, -half]
     axis.set_ylabel(broken(with_unit(f"error of {quantity.name}", quantity.unit), NARROW))
-    limit_axis(axis, time, [], [tracking, *whole])
+    limit_axis(axis, time, [], [tracking, *whole], until=until)
 
 
-def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panels:
+def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None, until: int | None) -> _Panels:
     """Return a panel for the samples of each sensor, because samples of redundant sensors would hide each other."""
     recorded = [sensor for sensor in sensors if sensor.samples is not None]
     shown = recorded[:MOST_STRIPS]
@@ -185,15 +198,17 @@ def _strips(signals: LoopSignals, sensors: Any, belief: Floats | None) -> _Panel
     for number, sensor in enumerate(shown):
         rest = f"\n({len(recorded) - len(shown)} more sensors are not drawn)" if len(recorded) > len(shown) else ""
         label = None if number else f"samples{rest}"
-        draw = partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label)
+        draw = partial(_draw_samples, time=signals.time, sensor=sensor, belief=belief, label=label, until=until)
         panels.append((STRIP, draw, (sensor.index,)))
     return panels
 
 
-def _draw_samples(axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Floats | None, label: str | None) -> None:
+def _draw_samples(
+    axis: Axes, *, time: Floats, sensor: SensorSignals, belief: Floats | None, label: str | None, until: int | None
+) -> None:
     """Draw samples and belief; with a label for the samples, both are in the legend (only for the first sensor)."""
     if belief is not None:
-        limit_axis(axis, time, [] if sensor.samples is None else [sensor.samples], [belief])
+        limit_axis(axis, time, [] if sensor.samples is None else [sensor.samples], [belief], until=until)
         axis.plot(*thin(time, belief), color=BLUE, lw=0.8, zorder=2, label=label and "belief: mean")
     assert sensor.samples is not None
     # Before thinning, which may leave none of the samples of a slow sensor with its pauses.

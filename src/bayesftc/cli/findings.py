@@ -13,7 +13,9 @@ from bayesftc.cosim.diagram.wiring import find_controller, find_inference, infer
 from bayesftc.cosim.errors import BayesFTCError, UnknownNameError
 from bayesftc.cosim.judging.blame import advice_on, blamed_together, often_blamed
 from bayesftc.cosim.judging.findings import never_began
+from bayesftc.cosim.judging.lost import before, loss_in
 from bayesftc.cosim.judging.metrics import limited, without_nan
+from bayesftc.cosim.judging.roles import loop_signals
 
 if TYPE_CHECKING:
     from bayesftc.cosim.block import Block
@@ -24,7 +26,9 @@ if TYPE_CHECKING:
 
 def notes_on(loop: Diagram, result: Result, signals: LoopSignals) -> list[str]:
     """Return notes on the model, on inputs at their limits, and on faults that never began."""
+    loss = loss_in(result)
     return [
+        *([] if loss is None else [f"{loss.sentence} {loss.advice}"]),
         *result.suspicions,
         *(f"The {note}. {advice}" for note, advice in limited(signals)),
         *(never_began(loop, result) if result.decimation == 1 else ()),
@@ -36,12 +40,12 @@ def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals
 
     An error of the diagnosis, which is one of this package, is returned, to be raised once the run is shown and written.
     """
-    failed, compared = None, 0
+    failed, compared, sound = None, 0, before(result, loss_in(result))
     try:
-        numbers["model"], compared = _diagnosed(loop, result)
+        numbers["model"], compared = _diagnosed(loop, sound)
     except Exception as error:  # noqa: BLE001 - whatever it is, it must not take the run with it
         numbers["model"], failed = None, error
-    hints = _hints(numbers, loop, result, signals)
+    hints = _hints(numbers, loop, sound, signals if sound is result else loop_signals(loop, sound))
     said = [note for note in numbers["notes"] if not any(note in hint for hint in hints)]  # a hint has advice as well
     numbers["notes"] = [*said, *hints]
     faulty = [of["name"] for of in numbers["inputs"] if of["fault_share"]]

@@ -788,7 +788,8 @@ def test_a_run_that_ended_infinite_is_diagnosed():
     assert raised.value.result["plant.x"].max() > 1e300
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert controllers.diagnose(raised.value.result, controller, y="sensors.y") is None  # the model is right
+        found = controllers.diagnose(raised.value.result, controller, y="sensors.y")
+    assert found.kind == "lost"  # the model is right
 
 
 def test_the_time_scale_of_a_model_is_that_of_python_control_and_two_halves_are_one():

@@ -114,6 +114,10 @@ def run(
             output.write_files(out, kept, *_report(scenario, loaded, loop, kept))
             said = error if isinstance(error, SimulationError) else kept.stopped
             error.args = (f"{said} The signals up to then are in {out / output.RESULT}.",)
+        elif isinstance(error, SimulationError) and kept is not None and len(kept.time):
+            error.args = (f"{error} To keep the signals up to then, add --out FOLDER.",)
+        if isinstance(error, SimulationError) and kept is not None and not json and not quiet:
+            output.say_notes(kept.suspicions)
         raise
     numbers, signals = _report(scenario, loaded, loop, result)
     failed = add_findings(numbers, loop, result, signals)
@@ -192,8 +196,8 @@ def _report(path: str, scenario: Scenario, loop: Diagram, result: Result) -> tup
         "stopped": result.stopped,
         **numbers_of(signals),
         "notes": [
-            *_notes(scenario, signals),
             *notes_on(loop, result, signals),
+            *_notes(scenario, signals),
         ],
     }
     if pace := result.metadata.get("pace"):
