@@ -200,8 +200,7 @@ class Machine:
         try:
             failure = phase(k)
             if failure is not None:
-                message = explain(failure, self._run)
-                raise SimulationError(message.replace("; the signals up to the step before are kept", ""))
+                raise SimulationError(explain(failure, self._run))
         except BaseException:
             for external in self._externals:
                 external.lose()

@@ -677,6 +677,13 @@ class Result(Mapping[str, Floats]):
             ) from None
 
 
+def at_stop(result: Result) -> str:
+    """Return sentences on what a closed loop did before its run had to stop."""
+    from bayesftc.cosim.judging.stops import at_stop as of_loop
+
+    return of_loop(result)
+
+
 def with_rows(result: Result, metadata: dict[str, Any], recording: Floats, before: int, stopped: str | None) -> Result:
     """Return a result of the same signals with other rows and metadata: the next piece of a live run.
 

@@ -25,11 +25,11 @@ from bayesftc.cosim.fmi.running.rounding import Roundable, warn_of_rounding
 from bayesftc.cosim.run.coupled.engines import check_groups, place_words
 from bayesftc.cosim.run.engines import CompiledEngine, Engine, Failure, InterpretedEngine, Run
 from bayesftc.cosim.run.pacing import Pacer
+from bayesftc.cosim.run.result import Result, at_stop
 from bayesftc.cosim.types import Floats
 
 if TYPE_CHECKING:
     from bayesftc.cosim.run.recording import Selection
-    from bayesftc.cosim.run.result import Result
 
 BREATH = 0.05
 """Seconds between two returns of the compiled loop to Python."""
@@ -268,9 +268,9 @@ def explain(failure: Failure, run: Run) -> str:
             return (
                 f"{came} The NaN may come from {origin}, which is NaN, too: a missing sample is NaN, so that a block that reads "
                 f"a sensor must expect NaN, and for example hold its last output. If not, check the plant's parameters and "
-                f"{steps}. The signals up to the step before are kept."
+                f"{steps}."
             )
-        return f"{came} Check the plant's parameters and {steps}; the signals up to the step before are kept."
+        return f"{came} Check the plant's parameters and {steps}."
     external = run.instances.get(failure.node)
     detail = external.explain(failure.status) if external is not None else ""
     run.ended = external is not None and external.has_ended
@@ -291,12 +291,21 @@ def _date_crash(instance: External | None, k: int, t: float) -> bool:
 
 
 def failed(stopped: str, result: Result, run: Run) -> SimulationError:
-    """Return the error of a run that had to stop: `FMUCrashed` if an isolated FMU was the reason."""
+    """Return the error of a run that had to stop: `FMUCrashed` if an isolated FMU was the reason.
+
+    Its message also says what the loop did before. Where the signals are, only the caller knows: a traceback names the error's
+    result.
+    """
+    stopped = f"{stopped} {at_stop(result)}".rstrip()
+    error = SimulationError(stopped, result)
     for instance in run.instances.values():
         crash: FMUCrashed | None = getattr(instance, "crash", None)
         if crash is not None and crash.step is not None:
-            return FMUCrashed(stopped, result, step=crash.step, time=crash.time, log=crash.log)
-    return SimulationError(stopped, result)
+            error = FMUCrashed(stopped, result, step=crash.step, time=crash.time, log=crash.log)
+            break
+    if len(result.time):
+        error.add_note("The signals up to the step before are in the exception's result.")
+    return error
 
 
 __all__ = [

@@ -549,7 +549,11 @@ def test_a_run_that_stops_keeps_what_it_has(bayesftc_, tmp_path):
     done = bayesftc_("run", "car.toml", "--out", "out")
     assert done.exit_code == 11
     assert done.output.startswith("Error: The run stopped at t = 0.02 s")
-    assert "result.npz" in done.output
+    assert "Last values, at t = 0 s: v 20 m/s " in done.output
+    assert done.output.endswith(f"The signals up to then are in {Path('out/result.npz')}.\n")
+    assert "are kept" not in done.output
+    nowhere = bayesftc_("run", "car.toml").output
+    assert nowhere.endswith("To keep the signals up to then, add --out FOLDER.\n")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figure.png", "figures.json", "result.npz"]
     assert Result.load(tmp_path / "out" / "result.npz").stopped
     assert json.loads((tmp_path / "out" / "figures.json").read_text())["stopped"]
