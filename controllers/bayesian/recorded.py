@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
 from bayesftc.controllers.precision.base import PrecisionLearner
-from bayesftc.cosim.errors import UnknownNameError
+from bayesftc.cosim.base.timebase import show
+from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.types import Floats
 
 SHORT = 250
@@ -73,6 +75,33 @@ def samples_of(signals: Mapping[str, Any], y: str | None, name: str, reader: str
             return np.stack(columns, axis=1)
     check_recorded(signals, reader, source)
     return np.asarray(signals[source])
+
+
+def sampled_rows(signals: Mapping[str, Any], sample_time: Fraction, reader: str) -> slice:
+    """Return the rows of a run at which a controller or estimator ran; between them its outputs are held.
+
+    Parameters
+    ----------
+    signals : Result or mapping
+        The signals. A mapping that is no result has a row for each sample.
+    sample_time : Fraction
+        The seconds between two samples of the controller.
+    reader : str
+        What needs the samples, for the error message.
+
+    Raises
+    ------
+    ModelError
+        If not every sample is recorded.
+    """
+    row = getattr(signals, "step", sample_time) * getattr(signals, "decimation", 1)
+    rows = sample_time / row
+    if rows.denominator != 1:
+        raise ModelError(
+            f"{reader} needs every sample, one in {show(sample_time)} s by the controller's model, but the run has a row in "
+            f"{show(row)} s. Run with decimation=1, and give the controller that ran."
+        )
+    return slice(-getattr(signals, "before", 0) % int(rows), None, int(rows))
 
 
 def check_recorded(signals: Mapping[str, Any], reader: str, *names: str) -> None:

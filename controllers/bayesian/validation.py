@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from bayesftc.controllers.bayesian.estimator import StateEstimator
-from bayesftc.controllers.bayesian.recorded import check_recorded, estimate, samples_of
+from bayesftc.controllers.bayesian.recorded import check_recorded, estimate, sampled_rows, samples_of
 from bayesftc.controllers.models.checks import as_covariance
 from bayesftc.controllers.models.linear import LinearModel
 from bayesftc.controllers.precision.baselines import SERFDI
@@ -167,8 +167,8 @@ def check_kalman(
     Parameters
     ----------
     signals : Result
-        Must contain ``u``, ``x_hat``, ``P`` and ``R`` of the controller and its samples, at every step (decimation 1). If it
-        contains ``innovation``, samples that counted as missing are left out.
+        Must contain ``u``, ``x_hat``, ``P`` and ``R`` of the controller and its samples, at every sample of the
+        controller. If it contains ``innovation``, samples that counted as missing are left out.
     controller : BayesianController
         The controller that ran, for its model and initial belief.
     y : str, optional
@@ -204,22 +204,22 @@ def check_kalman(
         )
     samples = samples_of(signals, y, name, READER)
     check_recorded(signals, READER, *(f"{name}.{port}" for port in ("u", "x_hat", "P", "R")))
-    if getattr(signals, "decimation", 1) != 1:
-        raise ModelError("The Kalman check needs every step, but the run has a decimation; run with decimation=1.")
+    rows = sampled_rows(signals, controller.model.step, READER)
     learner = controller.precision
     threshold = learner.threshold if isinstance(learner, SERFDI) else None
     if (innovation := f"{name}.innovation") in signals:  # NaN for absurd samples and invalid values as well
         samples = np.where(np.isnan(signals[innovation]), np.nan, samples)
+    u, R, x_hat, P = (signals[f"{name}.{port}"][rows][:most] for port in ("u", "R", "x_hat", "P"))
     reference = ser_reference(
         controller.model,
-        samples[:most],
-        signals[f"{name}.u"][:most],
+        samples[rows][:most],
+        u,
         threshold=float("inf") if threshold is None else threshold,
-        R=signals[f"{name}.R"][:most] if threshold is None else None,
+        R=R if threshold is None else None,
         initial_mean=controller.initial_mean,
         initial_covariance=controller.initial_covariance,
     )
-    check = compare(signals[f"{name}.x_hat"][:most], signals[f"{name}.P"][:most], reference)
+    check = compare(x_hat, P, reference)
     differs = max(check.mean_difference, check.covariance_difference) > AGREEMENT
     return replace(check, explanation=expected_to_differ(controller)) if differs else check
 
@@ -246,14 +246,14 @@ def sensor_by_sensor(
     Parameters
     ----------
     signals : Result
-        Must contain the samples, and ``u`` of the controller, at every step.
+        Must contain the samples, and ``u`` of the controller, at every sample of the controller.
     controller, y, name
         See `check_kalman`.
 
     Returns
     -------
     dict
-        The signals that `check_kalman` needs.
+        The signals that `check_kalman` needs, with a row for each sample of the controller.
     BayesianController
         The controller with the per-sensor form.
 
@@ -262,13 +262,14 @@ def sensor_by_sensor(
     ModelError
         If the learner has no per-sensor form.
     """
-    samples, ports = samples_of(signals, y, name, READER), ("x_hat", "P", "R", "innovation")
+    rows, ports = sampled_rows(signals, controller.model.step, READER), ("x_hat", "P", "R", "innovation")
     check_recorded(signals, READER, f"{name}.u")
+    samples = samples_of(signals, y, name, READER)[rows]
     learner = controller.precision.apart("The Kalman check")
     estimator = StateEstimator(
         controller.model, learner, controller.initial_mean, controller.initial_covariance, invalid=controller.invalid
     )
-    u = np.asarray(signals[f"{name}.u"])
+    u = np.asarray(signals[f"{name}.u"])[rows]
     estimated = estimate(estimator, samples, u, ports, compiled=len(samples) > INTERPRETED)
     recorded = {f"{name}.{port}": values for port, values in estimated.items()} | {
         f"{name}.y" if y is None else y: samples,

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesftc.controllers.bayesian.recorded import check_recorded, samples_of
+from bayesftc.controllers.bayesian.recorded import check_recorded, sampled_rows, samples_of
 from bayesftc.controllers.diagnosis.best import FLEXIBLE, LEAST_SAMPLES, MOST_SAMPLES, best_explanations
 from bayesftc.controllers.diagnosis.blamed import OF_FAULTS, of_faults
 from bayesftc.controllers.diagnosis.finding import ModelFinding
@@ -65,7 +65,7 @@ def diagnose(
     Parameters
     ----------
     signals : Result
-        Must contain the samples and the controls at every step (decimation 1).
+        Must contain every sample of the block, and the controls.
     controller : controller, StateEstimator or Diagram
         The block that ran, for its model and its initial belief; or the closed loop that contains it. For a nonlinear model only
         `model_suspect` is used.
@@ -84,7 +84,7 @@ def diagnose(
     Raises
     ------
     ModelError
-        If the block has no model, or not every step is recorded.
+        If the block has no model, or not every sample is recorded.
     UnknownNameError
         If a signal is not recorded.
 
@@ -118,15 +118,14 @@ def diagnose(
     roles = None if roles is None or roles.controller != name else roles
     sent = [f"{name}.u"] if roles is None else sorted({x.sent[0] if x.sent else f"{name}.u" for x in roles.controls})
     check_recorded(signals, reader, *([suspect] if isinstance(model, NonlinearModel) else sent))
-    if getattr(signals, "decimation", 1) != 1:
-        raise ModelError("The diagnosis needs every step, but the run has a decimation; run with decimation=1.")
+    rows = sampled_rows(signals, model.step, reader)
     raised = suspect in signals and np.nanmax(np.append(signals[suspect], 0.0)) >= ALARM
     if isinstance(model, NonlinearModel):
         words = sentence("suspect", (), model.linearised(controller.initial_mean, controller.control_mean))
         return ModelFinding("unknown", words) if raised else None
-    samples = samples_of(signals, y, name, reader)
+    samples = samples_of(signals, y, name, reader)[rows]
     inferred = _inferred(signals, controller, name)
-    u = signals[f"{name}.u"] if roles is None else _applied(signals, roles)
+    u = (np.asarray(signals[f"{name}.u"]) if roles is None else _applied(signals, roles))[rows]
     units = ([x.unit for x in roles.sensors], [x.unit for x in roles.controls]) if roles is not None else ((), ())
 
     def found(samples: Floats, each: bool = False, alone: bool = False) -> ModelFinding | None:
@@ -147,7 +146,7 @@ def diagnose(
     if nothing := result is None and raised:
         result = ModelFinding("unknown", sentence("unknown", (), model))
     if result is not None:
-        probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)
+        probability = np.asarray(signals.get(f"{name}.fault_probability", np.zeros(0)), float)[rows]
         left = of_faults(result, model, samples, probability, found, faulty_sensors)
         if left is not None and result.kind != "unknown":
             otherwise = f"{left.sentence} With all samples, as if no sensor had failed: {result.sentence}"
@@ -195,8 +194,9 @@ def checked_model(controller: Any) -> LinearModel | NonlinearModel | None:
     return model if isinstance(model, LinearModel | NonlinearModel) else None
 
 
-def compared_samples(model: LinearModel | NonlinearModel, samples: int) -> int:
+def compared_samples(model: LinearModel | NonlinearModel, signals: Mapping[str, Any]) -> int:
     """Return how many of a run's samples, from its start, `diagnose` compares with a model; 0 if it compares none."""
+    samples = len(signals.time[sampled_rows(signals, model.step, "The diagnosis")])  # type: ignore[attr-defined]
     if isinstance(model, NonlinearModel):
         return samples
     return 0 if samples < LEAST_SAMPLES or observers(model) is None else min(samples, MOST_SAMPLES)

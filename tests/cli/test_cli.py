@@ -224,6 +224,12 @@ def test_check_kalman(bayesftc_):
     assert f"{check['mean_absolute']:.2e}" in table
 
 
+def test_check_kalman_compares_the_samples_of_the_controller(bayesftc_, tmp_path):
+    (tmp_path / "car.toml").write_text(CAR.replace("[simulation]", "[simulation]\ndt = 0.005"))
+    check = json.loads(bayesftc_("run", "car.toml", "--check-kalman", "--json", "--duration", "2").output)["kalman"]
+    assert (check["steps"], check["agrees"]) == (101, True)
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_a_belief_that_is_not_finite(bayesftc_, tmp_path, monkeypatch):
     """It is told, with numbers that JSON can say, and all files are there."""

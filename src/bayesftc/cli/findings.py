@@ -78,7 +78,7 @@ def _diagnosed(loop: Diagram, result: Result) -> tuple[dict[str, Any] | None, in
         finding = diagnose(result, loop)
     except UnknownNameError:  # a signal that it needs is not recorded
         return None, 0
-    return None if finding is None else without_nan(asdict(finding)), compared_samples(model, len(result.time))
+    return None if finding is None else without_nan(asdict(finding)), compared_samples(model, result)
 
 
 def _hints(numbers: Mapping[str, Any], loop: Diagram, result: Result, signals: LoopSignals) -> list[str]:

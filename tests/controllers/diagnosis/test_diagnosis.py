@@ -975,7 +975,7 @@ def test_a_diagnosis_says_what_it_lacks():
     result = loop(case, LEARNERS["fixed"]).simulate(1.0, record="controller.u")
     with pytest.raises(cosim.UnknownNameError, match=r"controller\.y"):
         controllers.diagnose(result, controller)
-    with pytest.raises(cosim.ModelError, match="every step"):
+    with pytest.raises(cosim.ModelError, match="every sample"):
         controllers.diagnose(loop(case, LEARNERS["fixed"]).simulate(1.0, decimation=2), controller, y="sensors.y")
 
 

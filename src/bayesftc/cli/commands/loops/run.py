@@ -324,13 +324,14 @@ def _with_kalmans(scenario: Scenario, loop: Diagram) -> list[str] | None:
 def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None = None) -> dict[str, Any]:
     """Return the differences from filterpy's filter over the first samples, whether the two agree, and a verdict."""
     from bayesftc.controllers import BayesianController
+    from bayesftc.controllers.bayesian.recorded import sampled_rows
     from bayesftc.controllers.bayesian.validation import check_kalman, sensor_by_sensor
 
     controller = scenario.controller
     assert isinstance(controller, BayesianController)
     name = source_of_samples(loop)
     signals: Mapping[str, Any] = result
-    together = _has_another_form(controller)
+    together, rows = _has_another_form(controller), sampled_rows(result, controller.model.step, "--check-kalman")
     try:
         with np.errstate(all="ignore"):  # the verdict reports a filter that diverges
             if together:
@@ -340,7 +341,7 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
     except BayesFTCError as error:
         raise type(error)(f"--check-kalman: {error}") from None
     except np.linalg.LinAlgError:  # with a belief that diverges filterpy inverts a singular matrix
-        check = {**dict.fromkeys(DIFFERENCES, float("nan")), "steps": len(result.time)}
+        check = {**dict.fromkeys(DIFFERENCES, float("nan")), "steps": len(result.time[rows])}
     agrees, verdict = _verdict(check, controller)
     if together:
         verdict = (
@@ -354,7 +355,8 @@ def _kalman(scenario: Scenario, loop: Diagram, result: Result, most: int | None 
             )
     if agrees is None:
         for what, signal in (("mean", "x_hat"), ("covariance", "P")):
-            if when := _first_not_finite(signals[f"controller.{signal}"], result.time):
+            values = np.asarray(signals[f"controller.{signal}"])
+            if when := _first_not_finite(values if together else values[rows], result.time[rows]):
                 verdict += f" The {what} of the belief is not finite {when}."
         if verdict.endswith(UNKNOWN):
             verdict += " The belief is finite, so filterpy's belief has overflowed."
