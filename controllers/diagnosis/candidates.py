@@ -420,30 +420,51 @@ def _best(results: list[Explanation], kind: str, chosen: Callable[[Explanation],
 
 
 def _late(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
-    """Return late controls: a coarse search, or a fine one about the best of `coarse`."""
+    """Return late controls, each alone and all: a coarse search, or a fine one about the best of `coarse`."""
     u, dt = judge.recording.u, float(judge.model.step)
     most = _most_steps(judge)
     before = holding(judge.model, judge.recording.mean)  # the plant was probably at rest where it starts
-    lags: list[Course] = []
-    if coarse is None:
-        lags, steps = [("late", (most * f * dt, 1.0), lagged(u, most * f, before)) for f in LAGS], _coarse(most)
-    else:
-        steps = _near(_best(coarse, "late", lambda x: not x.values[1]).values[0] / dt, most)
-    return lags + [("late", (k * dt, 0.0), delayed(u, k, before)) for k in steps]
+    slow = [] if coarse else [(most * f * dt, lagged(u, most * f, before)) for f in LAGS]
+    results: list[Course] = []
+    for which in _each_and_all(judge):
+        if coarse is None:
+            steps = _coarse(most)
+        else:
+            best = _best(coarse, "late", lambda x, which=which: x.values[1:] == (0.0, *which))  # type: ignore[misc]
+            steps = _near(best.values[0] / dt, most)
+        results += [("late", (seconds, 1.0, *which), _only(u, which, course)) for seconds, course in slow]
+        results += [("late", (k * dt, 0.0, *which), _only(u, which, delayed(u, k, before))) for k in steps]
+    return results
 
 
 def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course]:
-    """Return controls that act earlier than the delays of the model say: a coarse search, or a fine one."""
+    """Return controls that act earlier than the delays of the model say, each alone and all: a coarse search, or a fine one."""
     possible, u, dt = judge.recording.late, judge.recording.u, float(judge.model.step)
-    most = min(max(possible, default=0), 2 * len(u) // 3)
-    if not most:
-        return []
-    if coarse is None:
-        steps = _coarse(most)
-    else:
-        best = _best(coarse, "early", lambda x: True).values[0] / dt
-        steps = [k for k in _near(best, most) if k <= most]
-    return [("early", (k * dt,), earlier(u, [min(k, longest) for longest in possible])) for k in steps]
+    results: list[Course] = []
+    for which in _each_and_all(judge):
+        longest = max((late for j, late in enumerate(possible) if j in (which or range(len(possible)))), default=0)
+        most = min(longest, 2 * len(u) // 3)
+        if not most:
+            continue
+        if coarse is None:
+            steps = _coarse(most)
+        else:
+            best = _best(coarse, "early", lambda x, which=which: x.values[1:] == which)  # type: ignore[misc]
+            steps = [k for k in _near(best.values[0] / dt, most) if k <= most]
+        courses = [(k, earlier(u, [min(k, late) for late in possible])) for k in steps]
+        results += [("early", (k * dt, *which), _only(u, which, course)) for k, course in courses]
+    return results
+
+
+def _each_and_all(judge: Judge) -> list[tuple[float, ...]]:
+    """Return the number of each of several controls, and none, for all of them."""
+    p = judge.model.controls
+    return [*((float(j),) for j in range(p) if p > 1), ()]
+
+
+def _only(u: Floats, which: tuple[float, ...], changed: Floats) -> Floats:
+    """Return controls of which only one is changed, or all."""
+    return np.where(np.arange(u.shape[1]) == which[0], changed, u) if which else changed
 
 
 def _most_steps(judge: Judge) -> int:

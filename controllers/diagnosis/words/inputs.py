@@ -20,8 +20,8 @@ def _input(j: float, model: LinearModel) -> str:
     return f"input {j:.0f}" if model.names is None else model.names.controls[int(j)]
 
 
-def _inputs(model: LinearModel) -> str:
-    return _input(0, model) if model.controls == 1 else "the inputs"
+def _inputs(model: LinearModel, which: Sequence[float] = ()) -> str:
+    return _input(which[0] if which else 0, model) if which or model.controls == 1 else "the inputs"
 
 
 def _sign(values: Sequence[float], model: LinearModel) -> str:
@@ -47,19 +47,19 @@ def _gains(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _late(values: Sequence[float], model: LinearModel) -> str:
-    seconds = values[0]
-    late = f"as behind a lag of about {seconds:.2g} s" if values[1] else f"by {seconds:.3g} s"
+    seconds, lag, *which = values
+    late = f"as behind a lag of about {seconds:.2g} s" if lag else f"by {seconds:.3g} s"
     return (
-        f"the plant follows {_inputs(model)} late, {late}. The time stamps of the sensors may be late (their delay in the model "
-        "file), the plant may have a lag that the model lacks, or a measured input has much noise."
+        f"the plant follows {_inputs(model, which)} late, {late}. The time stamps of the sensors may be late (their delay in "
+        "the model file), the plant may have a lag that the model lacks, or a measured input has much noise."
     )
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
     samples = counted(round(values[0] / float(model.step)), "sample")
     return (
-        f"the plant follows {_inputs(model)} earlier than in the model, by {values[0]:.3g} s ({samples}). Check the delays "
-        "in the model file, and the time stamps."
+        f"the plant follows {_inputs(model, values[1:])} earlier than in the model, by {values[0]:.3g} s ({samples}). Check the "
+        "delays in the model file, and the time stamps."
     )
 
 

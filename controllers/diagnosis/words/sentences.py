@@ -316,26 +316,30 @@ def _dt(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _late(values: Sequence[float], model: LinearModel) -> str:
-    seconds = values[0]
-    if values[1]:
-        how = f"the control acts late: the actuator has a further lag, with a time constant of about {seconds:.2g} s"
+    seconds, lag, *which = values
+    who = f"{named(which[0], model)} acts" if which else _all_act(model)
+    if lag:
+        how = f"{who} late: the actuator has a further lag, with a time constant of about {seconds:.2g} s"
         remedy = (
             "Add a state with this lag between the control and the plant that you design for. Less exactly, give the model a "
             "delay of about that time"
         )
     else:
-        how = f"the control acts late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
+        how = f"{who} late, by {seconds:.3g} s ({counted(round(seconds / float(model.step)), 'sample')})"
         remedy = "Give the model this delay"
-    swing = " A load that swings all the time, as of a rotor, may look like this lag." if values[1] else ""
+    swing = " A load that swings all the time, as of a rotor, may look like this lag." if lag else ""
     return f"{how}. {remedy} (LinearModel.with_delays), or weaken the control.{swing}"
 
 
 def _early(values: Sequence[float], model: LinearModel) -> str:
-    seconds, samples = values[0], counted(round(values[0] / float(model.step)), "sample")
-    return (
-        f"the control acts earlier than in the model, by {seconds:.3g} s ({samples}). Shorten the delays of the model "
-        "(LinearModel.with_delays)."
-    )
+    (seconds, *which), samples = values, counted(round(values[0] / float(model.step)), "sample")
+    who, of = (f"{named(which[0], model)} acts", "its delay") if which else (_all_act(model), "the delays")
+    remedy = f"Shorten {of} in the model (LinearModel.with_delays)."
+    return f"{who} earlier than in the model, by {seconds:.3g} s ({samples}). {remedy}"
+
+
+def _all_act(model: LinearModel) -> str:
+    return "the control acts" if model.controls == 1 else "the controls act"
 
 
 def _limit(values: Sequence[float], model: LinearModel) -> str:
