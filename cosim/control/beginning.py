@@ -25,7 +25,7 @@ def first_values(diagram: Diagram, inputs: Sequence[Place]) -> Floats:
 
     An input without a source has its start value, or 0.
     """
-    sources = [healthy_source(diagram, *place) for place in inputs]
+    sources = [healthy_source(diagram, *place, sums=False) for place in inputs]
     read = [(node.name, port.name, i) for node, port, i in filter(None, sources)]
     healthy = _without_faults(diagram)
     whole, outside = opened(healthy, list(needed(healthy).values()), "linear")

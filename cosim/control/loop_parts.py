@@ -41,7 +41,7 @@ NO_INFLUENCE = 1e-7
 
 @dataclass(frozen=True)
 class Parts:
-    """The linear parts of a closed loop, without its faults; all at the sample time of the controller.
+    """The linear parts of a closed loop, without its faults and its sources; all at the sample time of the controller.
 
     Attributes
     ----------
@@ -110,8 +110,8 @@ def loop_parts(diagram: Diagram, plant: Any = None) -> Parts:
         origin = healthy_source(diagram, controller, y, i)
         if origin is None or origin[0] is not sensors or origin[2] != i:
             raise ModelError(
-                f"Sample {i} of {controller.name!r} does not come from sensor {i} of {sensors.name!r} through faults alone. "
-                f"{_WHOLE}"
+                f"Sample {i} of {controller.name!r} does not come from sensor {i} of {sensors.name!r} through faults and "
+                f"sums with sources alone. {_WHOLE}"
             )
     node, measured = _measured(diagram, sensors)
     driven = _driven(diagram, node, controller)
@@ -194,7 +194,8 @@ def _driven(diagram: Diagram, node: Node, controller: Node) -> list[Element]:
     missing = [j for j in range(controller.port("u").size) if j not in inputs]
     if missing:
         raise ModelError(
-            f"Control {missing[0]} of {controller.name!r} does not lead to the plant {node.name!r} through faults alone. {_WHOLE}"
+            f"Control {missing[0]} of {controller.name!r} does not lead to the plant {node.name!r} through faults and sums with "
+            f"sources alone. {_WHOLE}"
         )
     return [inputs[j] for j in sorted(inputs)]
 

@@ -28,6 +28,7 @@ from bayesftc.cosim.diagram.wiring import (
     inferring,
     is_dead_time,
     label_of,
+    passed_by,
     preview_of,
 )
 from bayesftc.cosim.errors import BayesFTCError, ConnectionError, ModelError, did_you_mean
@@ -255,6 +256,14 @@ def _source(diagram: Diagram, node: Node, port: Port, element: int) -> Place | N
     return None if source is None else (f"{source[0].node.name}.{source[0].port.name}", source[1])
 
 
+def _sender(diagram: Diagram, node: Node, port: Port, element: int) -> Place | None:
+    """Return the source of one element of an input before what other sources add to it."""
+    source = diagram.source_of(node, port, element)
+    if source is not None and (passed := passed_by(diagram, source[0].node)) is not None:
+        return _sender(diagram, source[0].node, source[0].node.port("u"), passed)
+    return _source(diagram, node, port, element)
+
+
 def _reference(diagram: Diagram, controller: Node, goal: int) -> Place | None:
     """Return the source of one element of the goal; of a goal that lies ahead, the present one.
 
@@ -296,7 +305,7 @@ def _inputs(
         faults = faults_right_before(diagram, node, port, i)
         if chain := [(fault, element) for fault, element in faults if fault.name not in of_sensors]:
             first, element = chain[0]
-            sent = _source(diagram, first, first.port("u"), element)
+            sent = _sender(diagram, first, first.port("u"), element)
             received = _source(diagram, node, port, i)
             control = controls.index(sent) if sent in controls and sent else None
             names = _faults(chain)

@@ -17,6 +17,7 @@ from bayesftc.cosim.base.warnings_shown import warn_user
 from bayesftc.cosim.block import Block, sample_time_of
 from bayesftc.cosim.blocks.faults.kinds import Delay, Fault
 from bayesftc.cosim.blocks.linear_system import LinearSystem
+from bayesftc.cosim.blocks.mathblocks import Sum
 from bayesftc.cosim.blocks.preview import Preview
 from bayesftc.cosim.blocks.sensing.sensors import Sensors
 from bayesftc.cosim.blocks.sources import Constant
@@ -139,9 +140,37 @@ def _trace_source(diagram: Diagram, origin: tuple[PortRef, int] | None, visited:
     return list(dict.fromkeys(name for names in complete for name in names)) if complete else None
 
 
-def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) -> list[tuple[Node, int]]:
-    """Return the faults directly before one element of an input, in their order, each with its faulty element."""
+def passed_by(diagram: Diagram, node: Node) -> int | None:
+    """Return the only element of a sum that does not come from a source, as where a disturbance is added to a control.
+
+    None for other blocks, and for a sum that changes the element's sign. In deviations from where the loop begins, sources are 0.
+    """
+    if not isinstance(node.block, Sum):
+        return None
+    port = node.port("u")
+    moving = [i for i in range(port.size) if not _from_source(diagram, node, port, i)]
+    return moving[0] if len(moving) == 1 and node.block.signs[moving[0]] == "+" else None
+
+
+def _from_source(diagram: Diagram, node: Node, port: Port, element: int) -> bool:
+    """Return whether one element of an input comes from a block without inputs, if only through faults."""
     origin = diagram.source_of(node, port, element)
+    if origin is None:
+        return False
+    before = origin[0].node
+    if isinstance(before.block, Fault):
+        return _from_source(diagram, before, before.port("u"), origin[1])
+    return all(each.draw is not None for each in before.inputs)
+
+
+def faults_right_before(diagram: Diagram, node: Node, port: Port, element: int) -> list[tuple[Node, int]]:
+    """Return the faults directly before one element of an input, in their order, each with its faulty element.
+
+    Faults before a sum with sources are among them.
+    """
+    origin = diagram.source_of(node, port, element)
+    if origin is not None and (passed := passed_by(diagram, origin[0].node)) is not None:
+        return faults_right_before(diagram, origin[0].node, origin[0].node.port("u"), passed)
     if origin is None or not isinstance(origin[0].node.block, Fault):
         return []
     fault, channel = origin[0].node, origin[1]
@@ -216,20 +245,23 @@ def for_rates(controller: Block, rates: Sequence[int], steps: int = 1, former: S
     return changed
 
 
-def healthy_source(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[Node, Port, int] | None:
+def healthy_source(
+    diagram: Diagram, node: Node, port: Port, element: int, *, sums: bool = True
+) -> tuple[Node, Port, int] | None:
     """Return the block, the output and its element that feed one element of an input while no fault is present.
 
-    A subsystem counts as one block.
+    A subsystem counts as one block. With `sums`, what sources add on the way does not count; see `passed_by`.
     """
-    found = healthy_origin(diagram, node, port, element)
+    found = healthy_origin(diagram, node, port, element, sums=sums)
     return None if found is None else (found[0].node, found[0].port, found[1])
 
 
-def healthy_origin(diagram: Diagram, node: Node, port: Port, element: int) -> tuple[PortRef, int] | None:
+def healthy_origin(
+    diagram: Diagram, node: Node, port: Port, element: int, *, sums: bool = False
+) -> tuple[PortRef, int] | None:
     """Return the port and its element to which one element of an input is connected while no fault is present."""
-    return next(
-        (each for each in _upstream(diagram, node, port, element) if not isinstance(each[0].node.block, Fault)), None
-    )
+    path = _upstream(diagram, node, port, element, sums=sums)
+    return next((origin for origin, before in path if before is None), None)
 
 
 def warn_of_rounded_delays(diagram: Diagram) -> None:
@@ -262,7 +294,7 @@ def is_dead_time(fault: Any) -> bool:
 def dead_time(diagram: Diagram, node: Node, port: Port, element: int) -> Fraction:
     """Return the seconds by which faults that are always present delay one element of an input: its dead time."""
     late = Fraction(0)
-    for origin, i in _upstream(diagram, node, port, element):
+    for (origin, i), _ in _upstream(diagram, node, port, element, sums=True):
         fault, step = origin.node.block, diagram.step * origin.node.every
         if is_dead_time(fault) and fault.sensor == i:  # type: ignore[attr-defined]
             late += int(fault.numbers(step)[0]) * step  # type: ignore[attr-defined]
@@ -281,26 +313,34 @@ def dead_times(diagram: Diagram, plant: str) -> tuple[dict[int, Fraction], list[
     return late, [dead_time(diagram, controller, y, i) for i in range(y.size)]
 
 
-def _upstream(diagram: Diagram, node: Node, port: Port, element: int) -> Iterator[tuple[PortRef, int]]:
-    """Yield the outputs on the way to one element of an input, from the last fault back to the first block that is no fault."""
+def _upstream(
+    diagram: Diagram, node: Node, port: Port, element: int, *, sums: bool
+) -> Iterator[tuple[tuple[PortRef, int], int | None]]:
+    """Yield the outputs on the way to one element of an input, back to the first block that is no fault.
+
+    Each comes with the element of the input ``u`` that passes through its block, None at the end. With `sums`, sums with sources
+    are passed, too.
+    """
     origin = next(diagram.origins_of(node, port, element), None)
     while origin is not None:
-        yield origin
-        fault = origin[0].node
-        if not isinstance(fault.block, Fault):
+        block = origin[0].node
+        before = origin[1] if isinstance(block.block, Fault) else passed_by(diagram, block) if sums else None
+        yield origin, before
+        if before is None:
             return
-        origin = next(diagram.origins_of(fault, fault.port("u"), origin[1]), None)
+        origin = next(diagram.origins_of(block, block.port("u"), before), None)
 
 
 def elements(diagram: Diagram, others: Container[str]) -> Iterator[tuple[Node, Port, int]]:
-    """Yield each element of each input, except for those of faults and of the named blocks.
+    """Yield each element of each input, except for those of faults and of the named blocks, and those that pass through sums.
 
     An input of a subsystem counts once: neither what its ports show nor the inputs inside that they feed are yielded.
     """
     for node in diagram.nodes:
+        passed = passed_by(diagram, node)
         for port in () if isinstance(node.block, Fault) or node.name in others else node.inputs:
             for i in range(port.size):
-                if not _of_boundary(diagram, node, port, i):
+                if i != passed and not _of_boundary(diagram, node, port, i):
                     yield node, port, i
 
 

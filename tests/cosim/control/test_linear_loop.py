@@ -10,6 +10,7 @@ from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers import FixedPrecision
 from bayesftc.cosim.control.loop_figures import bode_figure, root_locus_figure
 from bayesftc.cosim.control.margins import margins_of
+from bayesftc.cosim.diagram.roles import find_roles
 from bayesftc.cosim.errors import ModelError, UnknownNameError
 from bayesftc.cosim.judging.figures.panels import bare_figure
 
@@ -379,6 +380,37 @@ def unstable():
 def test_refusals_are_sentences(ask, sentence):
     with pytest.raises(ModelError, match=sentence):
         ask()
+
+
+def disturbed(source, total=None, **options):
+    """Return the loop with a source added to its control."""
+    connections = [(["plant.force", "source.y"], "total.u"), ("total.y", "plant.force")]
+    blocks = {"source": source, "total": total or cosim.Sum()}
+    return loop_of(lqg(), blocks=blocks, connections=connections, **options)
+
+
+@pytest.mark.parametrize("source", [cosim.Gaussian(std=0.3), cosim.Constant(2.0)])
+def test_what_a_source_adds_to_a_control_leaves_the_linear_loop_as_it_is(source):
+    delay = {"input_faults": {"force": [cosim.Delay(delay=2 * DT, initial=0.0)]}}
+    for options in ({}, delay):
+        one, other = loop_of(lqg(), **options).linear(), disturbed(source, **options).linear()
+        np.testing.assert_allclose(other.poles(), one.poles(), atol=1e-12)
+        assert other.margins() == one.margins()
+
+
+def test_a_fault_before_the_sum_belongs_to_the_control():
+    loop = disturbed(cosim.Constant(2.0), input_faults={"force": [cosim.GainFault(factor=0.5, start=1.0)]})
+    (role,) = find_roles(loop).controls
+    assert (role.name, len(role.faults)) == ("force", 1)
+    (received,) = find_roles(loop).inputs
+    assert (received.name, received.control) == ("force", 0)
+
+
+def test_a_sum_of_other_signals_is_no_part_of_the_control():
+    with pytest.raises(
+        ModelError, match="does not lead to the plant 'plant' through faults and sums with sources alone"
+    ):
+        disturbed(cosim.Constant(2.0), cosim.Sum("-+")).margins()
 
 
 def test_another_system_may_stand_for_the_plant():
