@@ -189,7 +189,9 @@ def _close(name: str, names: Sequence[str]) -> list[str]:
     block, dot, end = name.rpartition(".")
     of_block = {n.rpartition(".")[2]: n for n in names if n.rpartition(".")[0] == block}
     if dot and of_block:
-        return [of_block[n] for n in _close(end, sorted(of_block))]
+        return [of_block[n] for n in _close(end, sorted(of_block))] or (
+            [*of_block.values()] if len(of_block) == 1 else []
+        )
     return [n for n in get_close_matches(name, names, n=3, cutoff=0.6) if _alike(name, n)]
 
 

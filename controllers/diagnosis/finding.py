@@ -35,8 +35,8 @@ class ModelFinding:
     values : tuple of float
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``gains``: that of each control, and
         then the standard deviation of each; ``dt``: the plant's speed relative to the model's; ``late``: seconds, 1 for a
-        lag, and of one of several controls its number; ``early``: seconds, and that number; ``limit``: low, high, and the control's
-        number;
+        lag, and of one of several controls its number; ``early``: seconds, and that number; ``limit``: low, high, and the
+        control's number;
         ``deadband``: its whole width in the unit of the control, the control's number, and 1 if it is about where the actuator
         stands, 0 if about zero; ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the
         first sample (infinity: to the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin,

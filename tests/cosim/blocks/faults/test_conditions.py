@@ -422,7 +422,7 @@ def test_bad_conditions_of_part_of_a_mixture():
 @pytest.mark.parametrize(
     ("signal", "sentence"),
     [
-        ("plant.w", r"Freeze 'freeze_0' reads the signal 'plant\.w', but .* did you mean 'plant\.v'"),
+        ("plant.w", r"Freeze 'freeze_0' reads the signal 'plant\.w', but .*; known names: .*plant\.v"),
         ("plnt.v", r"'plnt\.v', but .* did you mean 'plant\.v'"),
         ("sensors.y", r"no number of that name; did you mean .*'sensors\.y\[1\]'"),
         ("sensors.y[2]", r"did you mean .*'sensors\.y\[1\]'"),

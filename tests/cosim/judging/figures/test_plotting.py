@@ -404,7 +404,7 @@ def test_signals_by_unit():
         for name in result
         if result[name].ndim < 3 and np.isfinite(result[name]).any()
     )
-    with pytest.raises(UnknownNameError, match=r"did you mean 'plant\.v'"):
+    with pytest.raises(UnknownNameError, match=r"known names: plant\.v"):
         result.plot(["plant.w"])
 
 
