@@ -228,11 +228,13 @@ class LinearLoop:
         """Return the loop's signals, its slowest poles and its figures as a table, for notebooks."""
         poles = self.poles()
         shown = ", ".join(f"{pole:.4g}" for pole in poles[:SHOWN])
+        constant = int((np.abs(poles) > 1.0 - LASTING).sum())
+        apart = f", apart from {counted(constant, 'mode')} that neither decays nor grows" if constant else ""
         rows = [
             ("sample time", f"{self.dt:g} s"),
             ("goals for", ", ".join(self.parts.tracked) or "no signal"),
             ("controls", ", ".join(self.parts.controls)),
-            ("stable", "yes" if self._is_stable else "no"),
+            ("stable", f"yes{apart}" if self._is_stable else "no"),
             (f"largest of {counted(len(poles), 'pole')}", shown),
             ("figures and numbers", "bode(), root_locus(), margins(), step_info(), poles(), zeros()"),
         ]
