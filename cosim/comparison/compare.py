@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,8 @@ ROWS = 2000
 FIGURES = ("tracking.*.overall", "tracking.*.during", "sensors.*.false_alarm_rate")
 SAME = 1e-9
 """Largest relative difference of two errors that count as equal: two ways to compute the same differ by rounding."""
+KEPT = 0.5
+"""Least share of the seeds for an interval: if more are left out because a run failed, the others are no sample of all runs."""
 PHASES = {"overall": "", "during": "_in_faults"}
 """The compared phases of a run, and the endings of their columns."""
 
@@ -77,7 +80,7 @@ class Comparison:
         - ``false_alarm_rate``: how often healthy sensors are blamed. It is the share of fault-free steps with an alarm, as the
           mean over all sensors. Alarms that began during a fault count as well;
         - ``difference``: difference of the error to that of the first loop in the same runs, with its paired interval ``low``,
-          ``high``;
+          ``high``, both without the seeds where a run of either loop failed. There is no interval if these are more than half;
         - ``wins``: number of runs with a smaller error than the first loop, and ``pairs``: number of all pairs;
         - the same differences with the ending ``_in_faults``.
 
@@ -177,7 +180,28 @@ class Comparison:
         from bayesftc.cosim.comparison.figure import plot_comparison
         from bayesftc.cosim.judging.figures.panels import shown_figure
 
-        return plot_comparison({name: self.signals(name) for name in self.loops}, list(self._units), shown_figure())
+        runs = {name: self.signals(name) for name in self.loops}
+        return plot_comparison(runs, list(self._units), shown_figure(), self.failed)
+
+    @property
+    def failed(self) -> dict[str, int]:
+        """The number of runs of each loop that failed."""
+        return {str(name): int(count) for name, count in zip(self.table["loop"], self.table["failed"], strict=True)}
+
+    @property
+    def remark(self) -> str:
+        """A sentence on runs that failed, which the table leaves out; empty if there are none."""
+        failed = [
+            f"{count} runs of {name}" if count > 1 else f"1 run of {name}"
+            for name, count in self.failed.items()
+            if count
+        ]
+        if not failed:
+            return ""
+        return (
+            f"{' and '.join(failed)} failed. Errors are those of the other runs, which may be the easy ones. Differences and "
+            "wins leave out each seed where a run failed, and have no interval if these are more than half."
+        )
 
     @property
     def _units(self) -> dict[str, str | None]:
@@ -190,11 +214,13 @@ class Comparison:
         first = next(iter(self.loops))
         table = compare_levels(self.runs, metric, "loop", against=first, level=self.level).set_index("first")
         by_loop = self.runs.pivot(index="seed", columns="loop", values=metric)
+        good = self.runs.assign(good=self.runs["status"] == "ok").pivot(index="seed", columns="loop", values="good")
         gaps = by_loop.sub(by_loop[first], axis=0)
         gaps = gaps.mask(gaps.abs().le(SAME * by_loop[first].abs(), axis=0), 0.0)
         return {
             str(name): {
                 **{key: 0.0 if (gaps[name] == 0).all() else float(row[key]) for key in ("difference", "low", "high")},
+                **({} if (good[name] & good[first]).mean() >= KEPT else dict.fromkeys(("low", "high"), np.nan)),
                 "wins": float((gaps[name] < 0).sum()),
                 "pairs": float(row["n_first"]),
             }
@@ -202,10 +228,10 @@ class Comparison:
         }
 
     def __repr__(self) -> str:
-        return self._shown().to_string()
+        return "\n\n".join(filter(None, [self._shown().to_string(), self.remark]))
 
     def _repr_html_(self) -> str:
-        return self._shown().to_html()
+        return self._shown().to_html() + (f"\n<p>{escape(self.remark)}</p>" if self.remark else "")
 
     def _shown(self) -> pd.DataFrame:
         """Return the table with a column for each loop and signal, and four digits: pandas makes 0.000006 of 5.9e-06."""

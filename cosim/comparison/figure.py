@@ -27,19 +27,25 @@ BAND = (5.0, 95.0)
 
 
 def plot_comparison(
-    runs: Mapping[str, Sequence[LoopSignals]], names: Sequence[str], figure: Figure | None = None
+    runs: Mapping[str, Sequence[LoopSignals]],
+    names: Sequence[str],
+    figure: Figure | None = None,
+    failed: Mapping[str, int] | None = None,
 ) -> Figure:
     """Return a figure with a panel for each tracked signal.
 
     Parameters
     ----------
     runs : mapping of str to sequence of LoopSignals
-        The runs of each loop.
+        The complete runs of each loop.
     names : sequence of str
         The tracked signals.
     figure : Figure, optional
         An empty figure to draw on; by default a new one for a file.
+    failed : mapping of str to int, optional
+        The number of runs of each loop that failed, and are not drawn.
     """
+    labels = {loop: _label(loop, len(of_loop), (failed or {}).get(loop, 0)) for loop, of_loop in runs.items()}
     all_runs = [run for of_loop in runs.values() for run in of_loop]
     figure, axes = make_panels([PANEL] * max(len(names), 1), figure)
     for axis, name in zip(axes, names, strict=False):
@@ -47,7 +53,9 @@ def plot_comparison(
         for i, (loop, of_loop) in enumerate(runs.items()):
             if of_loop:
                 values = [_quantity(run, name).truth for run in of_loop]
-                bands[loop] = _draw_loop(axis, loop, values, of_loop[0].time, i)
+                bands[loop] = _draw_loop(axis, labels[loop], values, of_loop[0].time, i)
+            else:
+                axis.plot([], [], LINES[i % len(LINES)], color=COLOURS[i % len(COLOURS)], lw=1.4, label=labels[loop])
         _draw_reference(axis, all_runs, name)
         _leave_out_the_lost(axis, bands, all_runs, name)
         _shade(axis, all_runs)
@@ -55,8 +63,10 @@ def plot_comparison(
         if all_runs:
             axis.set_ylabel(with_unit(name, _quantity(all_runs[0], name).unit))
     finish(axes, all_runs[0].time if all_runs else np.zeros(0))
+    most = max(map(len, runs.values()), default=0)
+    which = "the runs that did not fail" if any((failed or {}).values()) else f"{most} runs"
     figure.suptitle(
-        f"Median of {max(map(len, runs.values()), default=0)} runs and band of 90 % of them; shaded: a fault is present",
+        f"Median of {which} and band of 90 % of them; shaded: a fault is present",
         fontsize=10,
         x=0.01,
         ha="left",
@@ -64,13 +74,18 @@ def plot_comparison(
     return figure
 
 
-def _draw_loop(axis: Axes, loop: str, values: Sequence[Any], time: Floats, i: int) -> Floats:
+def _label(loop: str, complete: int, failed: int) -> str:
+    """Return the name of a loop in the legend, with the number of its runs that are drawn if some failed."""
+    return f"{loop}\n({complete} of {complete + failed} runs)" if failed else loop
+
+
+def _draw_loop(axis: Axes, label: str, values: Sequence[Any], time: Floats, i: int) -> Floats:
     """Draw median and band of a loop, and return lower end, median and upper end of the band."""
     lines = np.asarray(np.nanpercentile(np.array(values), [BAND[0], 50.0, BAND[1]], axis=0))
     low, middle, high = lines
     colour = COLOURS[i % len(COLOURS)]
     axis.fill_between(time, low, high, color=colour, alpha=0.2, lw=0, zorder=2)
-    axis.plot(time, middle, LINES[i % len(LINES)], color=colour, lw=1.4, zorder=4, label=loop)
+    axis.plot(time, middle, LINES[i % len(LINES)], color=colour, lw=1.4, zorder=4, label=label)
     return lines
 
 

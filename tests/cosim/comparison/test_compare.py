@@ -1,5 +1,8 @@
 """Loops compared with the same seeds, against runs made one by one and SciPy's paired t-test."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import control
 import numpy as np
 import pytest
@@ -99,6 +102,39 @@ def test_the_figure_has_medians_reference_and_faults(compared):
     np.testing.assert_array_equal(np.asarray(shade.get_array())[0] > 0, (np.arange(51) >= 20) & (np.arange(51) < 40))
     assert axis.get_ylim()[0] < -1.0
     assert axis.get_ylabel() == "y"
+
+
+def with_failed(compared, *seeds):
+    """Return the comparison as if the runs of "fixed" with these seeds had failed."""
+    runs, dataset = compared.runs.copy(), compared.result.dataset.copy(deep=True)
+    failed = ((runs["loop"] == "fixed") & runs["seed"].isin(seeds)).to_numpy()
+    runs.loc[failed, "status"] = "failed"
+    runs.loc[failed, [name for name in runs if name.startswith(("tracking.", "sensors."))]] = np.nan
+    dataset["status"] = dataset["status"].dims, np.where(failed, "failed", dataset["status"].values)
+    return replace(compared, result=SimpleNamespace(table=runs, dataset=dataset))
+
+
+@pytest.mark.parametrize(("seeds", "interval"), [([1, 4], True), ([3, 1, 4], False)])
+def test_runs_that_failed_are_named_and_more_than_half_leave_no_interval(compared, seeds, interval):
+    some = with_failed(compared, *seeds)
+    ser = some.table.iloc[1]
+    assert ser["pairs"] == 5 - len(seeds)
+    assert np.isfinite([ser["low"], ser["high"], ser["low_in_faults"]]).tolist() == [interval] * 3
+    assert np.isfinite(ser["difference"])
+    text = f"{len(seeds)} runs of fixed failed. Errors are those of the other runs"
+    assert text in repr(some)
+    assert text in some._repr_html_()
+    figure = some.plot()
+    assert figure.get_suptitle().startswith("Median of the runs that did not fail")
+    (axis,) = figure.axes
+    assert {line.get_label() for line in axis.lines} == {f"fixed\n({5 - len(seeds)} of 5 runs)", "SER", "reference"}
+
+
+def test_a_loop_of_which_all_runs_failed_is_in_the_legend(compared):
+    (axis,) = with_failed(compared, 3, 1, 4, 15, 9).plot().axes
+    assert "fixed\n(0 of 5 runs)" in axis.get_legend_handles_labels()[1]
+    assert "failed" not in repr(compared).splitlines()[-1]
+    assert compared.plot().get_suptitle().startswith("Median of 5 runs")
 
 
 REFUSED = [

@@ -88,9 +88,9 @@ def compare_scenarios(
     if out is not None:
         picture = io.BytesIO()
         signals = list(dict.fromkeys(comparison.table["signal"]))
-        plot_comparison({name: comparison.signals(name) for name in comparison.loops}, signals).savefig(
-            picture, dpi=output.DOTS_PER_INCH, format="png"
-        )
+        complete = {name: comparison.signals(name) for name in comparison.loops}
+        figure = plot_comparison(complete, signals, failed=comparison.failed)
+        figure.savefig(picture, dpi=output.DOTS_PER_INCH, format="png")
         with output.staged(out) as stage:
             comparison.table.to_csv(stage / TABLE, index=False)
             comparison.runs.to_csv(stage / RUNS, index=False)
@@ -134,13 +134,13 @@ def _print(comparison: Comparison, rows: Sequence[dict[str, Any]], worst: Sequen
             for row in selected:
                 table.add_row(row["loop"], *_cells(row, ending))
             console.print(table)
-    runs, failed = rows[0]["runs"], sum(row["failed"] for row in rows if row["signal"] == rows[0]["signal"])
     say(
-        f"Each loop has {runs} runs with the same seeds. An error is the mean of the runs' root-mean-square errors. Differences "
-        f"and wins are relative to {first}, without the seeds where a run failed. * Blamed while healthy: the share of the "
-        "fault-free steps with an alarm, mean of all sensors, over the whole run."
-        + (f" {failed} runs failed." if failed else "")
+        f"Each loop has {rows[0]['runs']} runs with the same seeds. An error is the mean of the runs' root-mean-square "
+        f"errors. Differences and wins are relative to {first}. * Blamed while healthy: the share of the fault-free steps with "
+        "an alarm, mean of all sensors, over the whole run."
     )
+    if comparison.remark:
+        say(comparison.remark)
     for reason, count in (
         comparison.runs.loc[comparison.runs["status"] != "ok", "reason"].value_counts().head(3).items()
     ):
