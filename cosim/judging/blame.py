@@ -41,6 +41,9 @@ LOOK_AT_MODEL = (
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
 
+LITTLE = 0.005
+"""Share of a fault below which no percentage is named."""
+
 QUIET = 0.7
 """Ratio of the distance of samples from the belief to its standard deviation, below which the plant moves less than stated."""
 
@@ -131,6 +134,18 @@ def _missed(signals: LoopSignals, index: int) -> Flags:
     return missed
 
 
+def _little_blamed(signals: LoopSignals, index: int) -> str:
+    """Return how little of its fault a sensor is blamed for."""
+    sensor, missed = signals.sensors[index], _missed(signals, index)
+    assert sensor.faulty is not None
+    assert sensor.samples is not None
+    share = 1.0 - float(missed.sum() / (sensor.faulty & np.isfinite(sensor.samples)).sum())
+    name = signals.sensor_name(index)
+    if share == 0.0:
+        return f"{name} has a fault and is not blamed"
+    return f"{name} is blamed for only {f'{share:.0%}' if share >= LITTLE else 'a moment'} of its fault"
+
+
 def often_blamed(signals: LoopSignals) -> tuple[int, str] | None:
     """Return the sensor with most false alarms, and a note on it and on others with many; None if it has few."""
     rates = {sensor.index: false_alarm_rate(sensor) for sensor in signals.sensors}
@@ -152,13 +167,13 @@ def advice_on(signals: LoopSignals, sensor: int) -> str:
     if of.samples is None or of.alarm is None or of.faulty is None or quantity is None:
         return LOOK_AT_MODEL
     wrongly = of.alarm & ~of.faulty
-    for i in quantity.sensors:
-        if 2 * _missed(signals, i)[wrongly].sum() > wrongly.sum():
-            third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
-            return (
-                f"Meanwhile {signals.sensor_name(i)} has a fault and is not blamed. A slow fault of one sensor may look like one "
-                f"of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
-            )
+    unseen = [i for i in quantity.sensors if 2 * _missed(signals, i)[wrongly].sum() > wrongly.sum()]
+    if unseen:
+        third = "a third sensor, or " if len(quantity.sensors) == 2 else ""
+        return (
+            f"Meanwhile {' and '.join(_little_blamed(signals, i) for i in unseen)}. A slow fault of one sensor may look like one "
+            f"of another: {third}a better model of the plant tells (docs/explanation/inference.md)."
+        )
     if quantity.belief is None or quantity.spread is None:
         return LOOK_AT_MODEL
     blamed = wrongly & np.isfinite(of.samples)

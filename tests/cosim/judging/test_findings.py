@@ -214,8 +214,21 @@ def test_a_fault_that_is_missed_beside_a_sensor_that_is_blamed_is_the_reason():
     late = np.arange(100) >= 40
     advice = advice_on(two_sensors(late.astype(float), late, np.zeros(100)), 1)
     assert advice.startswith("Meanwhile sensor 0 has a fault and is not blamed.")
+    seen = late & (np.arange(100) >= 91)
+    advice = advice_on(two_sensors((late & ~seen).astype(float), late, seen.astype(float)), 1)
+    assert advice.startswith("Meanwhile sensor 0 is blamed for only 15% of its fault. A slow fault")
     assert "Look at the model" in advice_on(two_sensors(late.astype(float), ~late, np.zeros(100)), 1)
     assert "Look at the model" in advice_on(two_sensors(late.astype(float), late, late.astype(float)), 1)
+
+
+def test_all_sensors_whose_faults_are_missed_are_named():
+    late = np.arange(100) >= 40
+    run = two_sensors(late.astype(float), late, np.zeros(100))
+    (quantity,) = run.quantities
+    third = replace(run.sensors[0], index=2)
+    run = replace(run, quantities=(replace(quantity, sensors=(0, 1, 2)),), sensors=(*run.sensors, third))
+    start = "Meanwhile sensor 0 has a fault and is not blamed and sensor 2 has a fault and is not blamed."
+    assert advice_on(run, 1).startswith(start)
 
 
 @pytest.mark.parametrize("known", [True, False])
