@@ -32,14 +32,19 @@ _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?=.*[^\W\d_]|.*[%°])(\S.*)\Z", re.DOTALL)
 
 
+def shown(unit: str | None) -> str | None:
+    """Return a unit to show: None for that of a plain number, 1."""
+    return None if unit == "1" else unit
+
+
 def with_unit(name: str, unit: str | None) -> str:
     """Return a name and its unit, if there is one, as a label."""
-    return f"{name} ({unit})" if unit else name
+    return f"{name} ({unit})" if shown(unit) else name
 
 
 def behind(unit: str | None) -> str:
     """Return a unit as it stands behind a number: nothing if there is none, or if it is that of a plain number, 1."""
-    return f" {unit}" if unit and unit != "1" else ""
+    return f" {unit}" if shown(unit) else ""
 
 
 @dataclass(frozen=True)

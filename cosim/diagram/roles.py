@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesftc.cosim.base.units import Unit, difference
+from bayesftc.cosim.base.units import Unit, difference, shown
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.base import Fault
 from bayesftc.cosim.blocks.preview import Preview
@@ -198,7 +198,7 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     sensors = tuple(
         SensorRole(
             _source(diagram, controller, y, i),
-            units[i] if i in units else read.unit_of(i) if i < read.size else None,
+            shown(units[i] if i in units else read.unit_of(i) if i < read.size else None),
             tuple(fault for fault in faults_before(diagram, controller, i) if not is_dead_time(blocks[fault])),
         )
         for i in range(y.size)
@@ -311,7 +311,7 @@ def _inputs(
             names = _faults(chain)
             if not names:
                 continue
-            roles.append(InputRole(element_name(port, i), port.unit, sent, received, names, control))
+            roles.append(InputRole(element_name(port, i), shown(port.unit), sent, received, names, control))
     return tuple(roles)
 
 
@@ -331,7 +331,7 @@ def _controls(diagram: Diagram, controller: Node, controls_sent: Sequence[Place 
     ):
         for sent, faults in _ways(diagram, node, port, i, set()):
             if sent in controls_sent:
-                targets.setdefault(controls_sent.index(sent), (element_name(port, i), port.unit, faults))
+                targets.setdefault(controls_sent.index(sent), (element_name(port, i), shown(port.unit), faults))
     controls = []
     for j in range(count):
         name, unit, faults = targets.get(j, (f"control {j}", None, ()))
@@ -408,7 +408,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
             goal = names.index(name) if name in names else None
         reference = None if goal is None else _reference(diagram, controller, goal)
         belief = tuple(map(float, weights)) if weights is not None and estimates else None
-        roles.append(QuantityRole(name, unit, tuple(members), truth, reference, belief, goal))
+        roles.append(QuantityRole(name, shown(unit), tuple(members), truth, reference, belief, goal))
     known = [role.name for role in roles]
     for name in named:
         if name not in known:
@@ -419,7 +419,7 @@ def _quantities(diagram: Diagram, sensor_node: Node, controller: Node) -> tuple[
         place, unit = _output(_before(diagram, sensor_node, controller), name)
         truth = None if place is None else ((1.0, place),)
         belief = tuple(map(float, G[goal])) if G is not None and estimates else None
-        roles.append(QuantityRole(name, unit, (), truth, _reference(diagram, controller, goal), belief, goal))
+        roles.append(QuantityRole(name, shown(unit), (), truth, _reference(diagram, controller, goal), belief, goal))
     return tuple(roles)
 
 

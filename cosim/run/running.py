@@ -224,7 +224,8 @@ def advance(
             t, last = (float(k * run.schedule.step) for k in (until, end))
             tell(
                 f"Simulating: {(until - origin) / (end - origin):.0%} ({share_of_time(t, last)}) after "
-                f"{spoken(now - started)}, about {spoken((now - since) * (end - until) / (until - counted))} left."
+                f"{spoken(round(now - started))}, about "
+                f"{spoken(round((now - since) * (end - until) / (until - counted)))} left."
             )
         if time_limit is not None and now - started > time_limit:
             t = float(until * run.schedule.step)

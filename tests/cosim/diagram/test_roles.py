@@ -5,7 +5,7 @@ import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel, LQGController
-from bayesftc.cosim.diagram.roles import find_roles
+from bayesftc.cosim.diagram.roles import find_roles, units_of
 
 FAULTS = {0: ("freeze_0",), 1: ("injection_1",)}
 
@@ -79,3 +79,19 @@ def test_a_control_behind_a_sum_and_a_limit_has_the_name_and_unit_of_the_plants_
     )  # fmt: skip
     (role,) = find_roles(behind).controls
     assert (role.name, role.unit, role.faults) == ("force", "N", ("force_gain_fault_0",))
+
+
+def test_the_unit_of_a_plain_number_is_not_shown():
+    model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+    plant = cosim.StateSpace(
+        control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"]), units={"y": "1"}
+    )
+    diagram = cosim.closed_loop(
+        plant, LQGController(model), control="u", measured="y", sensors=cosim.Sensors(2, 0.2), reference=1.0
+    )
+    roles = find_roles(diagram)
+    assert [each.unit for each in (*roles.quantities, *roles.sensors, *roles.controls)] == [None] * 4
+    summary = str(diagram.simulate(1.0, seed=1, engine="interpreted").summary())
+    assert "tracking of y " in summary
+    assert "(1)" not in summary
+    assert units_of(diagram)["plant", "y"] == "1"  # of connections that do not fit
