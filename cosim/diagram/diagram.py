@@ -145,7 +145,7 @@ class Diagram(LoopMethods):
         # All or nothing: a refused connection does not change the diagram.
         origins = [(s, element) for s in sources for element in s.elements]
         if self._units_later is None:
-            _check_units(origins, target)
+            _check_units(zip(origins, target, strict=True))
         else:
             self._units_later.append((origins, target))
         new = {
@@ -170,10 +170,14 @@ class Diagram(LoopMethods):
         ConnectionError
             If two differ.
         """
-        for origins, target in self._units_later or ():
-            for origin, element in zip(origins, target, strict=True):
-                if self._sources.get((target.node.name, target.port.name, element.elements[0])) == origin:
-                    _check_units([origin], element)
+        _check_units(
+            [
+                (origin, element)
+                for origins, target in self._units_later or ()
+                for origin, element in zip(origins, target, strict=True)
+                if self._sources.get((target.node.name, target.port.name, element.elements[0])) == origin
+            ]
+        )
         self._units_later = None
 
     def disconnect(self, target: PortRef) -> None:
@@ -580,12 +584,15 @@ def is_external(node: Node) -> bool:
     return isinstance(node.block, ExternalBlock)
 
 
-def _check_units(origins: Sequence[tuple[PortRef, int]], target: PortRef) -> None:
-    """Refuse elements of outputs that feed those of an input and have other units."""
-    for (source, element), e in zip(origins, target.elements, strict=True):
-        a, b = source.port, target.port
+def _check_units(connections: Iterable[tuple[tuple[PortRef, int], PortRef]]) -> None:
+    """Refuse elements of outputs that feed those of an input and have other units, all at once."""
+    found = []
+    for (source, element), target in connections:
+        a, b, e = source.port, target.port, target.elements[0]
         of_source, of_target = a.unit_of(element), b.unit_of(e)
         if of_source and of_target and (gap := difference(of_source, of_target, a.meaning, b.meaning)):
-            raise ConnectionError(
+            found.append(
                 f"{source.with_unit_of(element)} is in {of_source}, but {target.with_unit_of(e)} is in {of_target}{gap}"
             )
+    if found:
+        raise ConnectionError(" ".join(dict.fromkeys(found)))

@@ -39,7 +39,8 @@ class FMU(ExternalBlock):
     parameters : mapping, optional
         Start values by name, of parameters and of whatever else may be set before initialization. An unconnected input keeps
         its start value. Numbers are in the variables' units, or have a unit: ``"100 km/h"`` or ``(30, "deg")``. Units are the
-        FMU's and those of pint. Arrays are nested sequences, row by row. Structural parameters set the sizes of arrays.
+        FMU's and those of pint. Arrays are nested sequences, row by row; ``"K[0,1]"`` is one element. Structural
+        parameters set the sizes of arrays.
         Enumerations are names or numbers. After construction: plain values in the variables' units.
     inputs, outputs : sequence of str or Port, optional
         Names of the variables that become ports; by default all inputs and outputs that are numbers. If the

@@ -17,6 +17,8 @@ from bayesftc.cosim.fmi.reading.messages import logger
 from bayesftc.cosim.fmi.reading.sources import compiled, read_sources
 
 _SHOWN = 3
+_NAMED = 5
+"""Largest number of missing functions in a message."""
 
 _lock = threading.RLock()
 _loaded: dict[tuple[str, bool], Library] = {}
@@ -129,10 +131,15 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
             keep = ctypes.CDLL(str(folder / entry))
     except AttributeError as error:  # of ctypes
         name = re.search(r"\w*fmi\d?[A-Z]\w*", str(error))
-        what = f"the function {name[0]}" if name else "a function"
+        names = _missing(binding, description.fmi_major, folder / entry) or ([name[0]] if name else [])
+        what, required = f"the function {names[0]}" if names else "a function", "it, even if it only returns an error"
+        if len(names) > 1:
+            more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+            what = f"{len(names)} functions: {', '.join(names[:_NAMED])}{more}"
+            required = "all, even if they only return an error"
         raise FMUError(
-            f"The binary of the FMU {archive.path} cannot be loaded: it lacks {what}. FMI {description.fmi_version} requires it, "
-            "even if it only returns an error. Ask the maker of the FMU for a complete binary."
+            f"The binary of the FMU {archive.path} cannot be loaded: it lacks {what}. FMI {description.fmi_version} requires "
+            f"{required}. Ask the maker of the FMU for a complete binary."
         ) from None
     except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception
         raise FMUError(
@@ -142,6 +149,13 @@ def _load(archive: Archive, description: FMUDescription, folder: Path, entry: st
     finally:
         os.chdir(folder_before)  # fmpy changes to the binary's folder, and does not return if loading fails
     return library_type(description, slave, keep)
+
+
+def _missing(binding: type, major: int, binary: Path) -> list[str]:
+    """Return the functions of FMI that a binary lacks; of FMI 1, where they have other names, none."""
+    library = ctypes.CDLL(str(binary))
+    names = [name for name in dir(binding) if name.startswith(f"fmi{major}") and major > 1]
+    return [name for name in names if not hasattr(library, name)]
 
 
 def _reason(error: Exception, folder: Path) -> str:

@@ -18,6 +18,7 @@ from bayesftc.cosim.fmi.binaries.groups import type_range
 from bayesftc.cosim.fmi.reading.archive import Archive
 from bayesftc.cosim.fmi.reading.description import FMUDescription, FMUVariable, Value, flattened, shaped
 from bayesftc.cosim.fmi.reading.structure import check_size
+from bayesftc.cosim.ports import labels
 
 _FLOATS = frozenset({"Real", "Float64", "Float32"})
 _LARGEST = sys.float_info.max
@@ -46,7 +47,8 @@ def start_values(
         known = (replace(v, unit=v.unit or units.get(v.name)) for v in description.variables)
         description = replace(description, variables=tuple(known))
     variables = {v.name: v for v in description.variables}
-    for name in values:
+    values, elements = _apart(values, variables)
+    for name in (*values, *elements):
         if name not in variables:
             settable = [v.name for v in variables.values() if v.settable]
             raise UnknownNameError(
@@ -70,9 +72,49 @@ def start_values(
         name: checked[name] if name in checked else _converted(archive, description, resized[name], value)
         for name, value in values.items()
     }
+    for name, given in elements.items():
+        result[name] = _with_elements(archive, description, resized[name], result, given)
     for name, value in result.items() if validate else ():
         _check_bounds(archive, variables[name], value)
     return result
+
+
+def _apart(
+    values: Mapping[str, Any], variables: Mapping[str, FMUVariable]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Return the values of whole variables, and those of elements of arrays (``R[0]``, ``R[0,1]``), by array and element."""
+    whole, elements = dict(values), dict[str, dict[str, Any]]()
+    for name in values:
+        array = name.partition("[")[0]
+        if name not in variables and name.endswith("]") and array in variables and variables[array].dimensions:
+            elements.setdefault(array, {})[name] = whole.pop(name)
+    return whole, elements
+
+
+def _with_elements(
+    archive: Archive,
+    description: FMUDescription,
+    variable: FMUVariable,
+    values: Mapping[str, Value],
+    given: Mapping[str, Any],
+) -> Value:
+    """Return an array with some elements replaced; the others have their given or start values."""
+    names = labels(variable.name, variable.shape)
+    others = values.get(variable.name, variable.start)
+    if not isinstance(others, tuple):
+        raise FMUError(
+            f"The FMU {archive.path.name} is given {next(iter(given))!r}, but the other elements of {variable.name!r} are not "
+            f"known. Give the whole array {variable.name!r}, row by row."
+        )
+    flat = list(flattened(others))
+    for name, value in given.items():
+        if name not in names:
+            raise UnknownNameError(
+                f"The FMU {archive.path.name} has no variable {name!r}: {variable.name!r} is an array of shape "
+                f"{variable.shape}; {did_you_mean(name, names)}"
+            )
+        flat[names.index(name)] = _converted(archive, description, replace(variable, name=name, shape=()), value)
+    return shaped(tuple(flat), variable.shape)
 
 
 def _check_bounds(archive: Archive, variable: FMUVariable, value: Value) -> None:

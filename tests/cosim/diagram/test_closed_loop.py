@@ -545,6 +545,16 @@ def test_a_reference_is_checked_through_blocks_and_by_the_units_of_sensors():
         in_units("m/s", "km", [1.0, 3.0], sensors=sensors)
 
 
+def test_all_units_that_differ_are_named_at_once():
+    sentence = (
+        "plant.v is in km/h, but sensors.u[0] is in m/s; put Gain(0.277777777778) between them. plant.position is in km, but "
+        "sensors.u[1] is in m; put Gain(1000) between them."
+    )
+    with pytest.raises(cosim.ConnectionError) as caught:
+        in_units("km/h", "km", [1.0, 3.0], sensors=cosim.Sensors(2, unit=["m/s", "m"]))
+    assert str(caught.value).replace("speed", "v") == sentence
+
+
 def test_the_advised_gain_stands_between_plant_and_sensors():
     sensors = cosim.Sensors(2, unit=["m/s", "m"])
     sentence = "plant.position is in km, but sensors.u[1] is in m; put Gain(1000) between them."

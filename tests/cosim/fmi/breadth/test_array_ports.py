@@ -11,10 +11,24 @@ import numpy as np
 import pytest
 
 from bayesftc import cosim
-from bayesftc.cosim.errors import FMUError, SimulationError
+from bayesftc.cosim.errors import FMUError, SimulationError, UnknownNameError
 from bayesftc.cosim.fmi.fmu import FMU
 
 REALS3 = {"inputs": ["u"], "outputs": ["y", "total"]}
+
+
+def test_an_element_of_an_array_parameter_may_be_given_alone(breadth):
+    whole = FMU(breadth("3"), parameters={"n": 3, "x0": [1.0, 2.0, 3.0]}).parameters
+    assert FMU(breadth("3"), parameters={"n": 3, "x0": [1, 0, 3], "x0[1]": 2}).parameters == whole
+    assert FMU(breadth("3"), parameters={"K[0,1]": 7.0}).parameters["K"] == ((1.0, 7.0), (0.0, 1.0))
+    with pytest.raises(
+        FMUError, match=r"'K\[0,1\]', but the other elements of 'K' are not known. Give the whole array 'K'"
+    ):
+        FMU(breadth("3"), parameters={"n": 3, "K[0,1]": 7.0})
+    with pytest.raises(
+        UnknownNameError, match=r"has no variable 'K\[2,0\]': 'K' is an array of shape \(2, 2\); did you mean"
+    ):
+        FMU(breadth("3"), parameters={"K[2,0]": 1.0})
 
 
 def test_arrays_are_vector_and_matrix_ports_as_large_as_structural_parameters_say(breadth):
