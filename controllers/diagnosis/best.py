@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +47,7 @@ others' noise made up to .015."""
 FITS = 1.5
 """Mean square of the innovations of all sensors, relative to the expected one, up to which they fit the model."""
 
-SIMPLE = frozenset({"sign", "gain", "gains", "dt", "late", "early", "limit", "deadband", "offset"})
+SIMPLE = frozenset({"sign", "gain", "gains", "dt", "late", "early", "limit", "rate", "exchanged", "deadband", "offset"})
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})
@@ -153,8 +154,11 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
     The control follows all sensors. To the filter of some of them it therefore tells something about the plant that this filter
     does not know. Beside a constant goal nothing else moves the control, and a slower plant, for example, explains it better than
     the right model. The filter of all sensors knows what the control knows, as far as the controller weights them alike.
+
+    For the same reason a control without any effect looks reversed to some sensors. All together decide on its sign.
     """
-    if counting and min(counting[0].support) > CLEAR * max(judge.rows):
+    clear = bool(counting) and min(counting[0].support) > CLEAR * max(judge.rows)
+    if clear and all(x.kind != "sign" for x in counting):
         return counting
     every = tuple(sorted({i for chosen in judge.bank.sensors for i in chosen}))
     bank = observers(judge.model, (every,)) if counting and len(judge.bank) > 1 else None
@@ -164,8 +168,16 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
     if float(whole.first_squares.max()) > FITS:
         return counting
     found = explanations(whole)
-    supported = {x.kind for x in (*_with_fitted_noise(whole, found), *(x for x in found if x.counts))}
-    return [x for x in counting if x.kind in supported]
+    of_all = [*_with_fitted_noise(whole, found), *(x for x in found if x.counts)]
+    supported, effects = {x.kind for x in of_all}, {x.values[1]: x for x in of_all if x.kind == "gain"}
+    if "sign" not in supported:
+        counting = [
+            replace(x, kind="gain", values=effects[x.values[1]].values)
+            if x.kind == "sign" and x.values[1] in effects
+            else x
+            for x in counting
+        ]
+    return counting if clear else [x for x in counting if x.kind in supported]
 
 
 def _with_fitted_noise(judge: Judge, found: list[Explanation]) -> list[Explanation]:
@@ -186,9 +198,17 @@ def _with_fitted_noise(judge: Judge, found: list[Explanation]) -> list[Explanati
 
 
 def _counting(judge: Judge, found: list[Explanation]) -> list[Explanation]:
-    """Return the explanations that count, noise among them, from the best one on."""
+    """Return the explanations that count, noise among them, from the best one on.
+
+    Other dynamics with a small effect are no reason to call a model wrong. But if it lacks noise by this run, and they explain
+    more, as another growth rate of an unstable plant may, then they are it.
+    """
     noises = noisier(judge, found)
-    return moved_at_random(judge, ranked(x for x in (*found, *noises) if x.counts), (found, noises))
+    counting = ranked(x for x in (*found, *noises) if x.counts)
+    if counting and counting[0].kind == "noise":
+        more = [x for x in found if x.kind in FLEXIBLE and x.evident and x.total > counting[0].total]
+        counting = ranked([*more, *(x for x in counting if x not in more)])
+    return moved_at_random(judge, counting, (found, noises))
 
 
 def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Observers, Floats]:

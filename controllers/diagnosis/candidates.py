@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import product
+from itertools import combinations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ from bayesftc.controllers.diagnosis.explanations import (
     innovations,
     lagged,
     played,
+    slowed,
 )
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, RELEVANT, Explanation, Judge
 from bayesftc.controllers.diagnosis.offsets import offsets
@@ -73,6 +74,12 @@ LEVELS = tuple(np.linspace(0.1, 0.97, 24))
 LOWER = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Limits to try relative to the least of these: the control may exceed its limit nearly always."""
 
+LEAST_LIMIT = 0.1
+"""Least limit on both sides, in standard deviations of the control: with a smaller one the control has no effect."""
+
+RATES = tuple(0.7**k for k in range(16))
+"""Limits of the rate to try in the coarse search, relative to the largest change of the control from sample to sample."""
+
 WIDTHS = (0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.45, 0.65)
 """Widths of a dead band to try, relative to the range of the control."""
 
@@ -94,6 +101,9 @@ AT_ONCE, MOST_NUMBERS = 16, 10_000_000
 EFFECT = {"sign", "gain", "gains"}
 """One kind in three words: the effect of a control, or of several."""
 
+BOUNDS = {"limit", "rate"}
+"""Bounds of a control: named only with clearly more evidence than another effect of it."""
+
 EQUAL = 0.1
 """Difference of two log-likelihood ratios, below the best one, that tells nothing: a tenth in probability."""
 
@@ -110,13 +120,17 @@ def explanations(judge: Judge) -> list[Explanation]:
     controls = range(model.controls)
 
     def tried(best: list[Explanation] | None = None) -> list[Explanation]:
-        of_each = [c for j in controls for c in (*_limits(judge, j, best), *_bands(judge, j, best))]
+        of_each = [c for j in controls for of in (_limits, _rates, _bands) for c in of(judge, j, best)]
         return judge.inputs([*_late(judge, best), *_early(judge, best), *of_each])
 
     coarse = tried()
     fine = tried(coarse)
     finest = judge.inputs([c for j in controls for c in _limits(judge, j, coarse + fine)])
-    results = coarse + fine + finest + _times(judge) + _pushed(judge)
+    results = coarse + fine + finest + judge.inputs(_exchanged(judge)) + _times(judge) + _pushed(judge)
+    effects = {x.values[1]: x.total for x in results if x.kind in ("sign", "gain")}
+    results = [
+        x for x in results if x.kind not in BOUNDS or x.total > effects.get(x.values[-1], -np.inf) + NEARLY
+    ]  # a bound that leaves hardly anything of a control explains what no effect of it does
     results += changes(judge, results) + offsets(judge)
     return ranked(best_of_each(results))
 
@@ -497,10 +511,43 @@ def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> lis
         levels = np.linspace(known[max(i - 1, 0)], known[min(i + 1, len(known) - 1)], 9)[1:-1]
     results: list[Course] = []
     for level in levels:
-        for low, high in ((-level, level), (-np.inf, level), (-level, np.inf)):
+        both = [(-level, level)] if level >= LEAST_LIMIT * u[:, j].std() else []
+        for low, high in (*both, (-np.inf, level), (-level, np.inf)):
             course = u.copy()
             course[:, j] = np.clip(u[:, j], low, high)
             results.append(("limit", (float(low), float(high), float(j)), course))
+    return results
+
+
+def _rates(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> list[Course]:
+    """Return controls that change no faster than a rate: a coarse search, or a finer one about the best."""
+    u, before, dt = judge.recording.u, holding(judge.model, judge.recording.mean), float(judge.model.step)
+    most = float(np.abs(np.diff(u[:, j], prepend=before[j])).max())
+    if not most:
+        return []
+    if coarse is None:
+        steps = most * np.array(RATES)
+    else:
+        steps = _best(coarse, "rate", lambda x: x.values[1] == j).values[0] * dt * np.array(BETWEEN)
+    results: list[Course] = []
+    for step, behind in zip(steps, slowed(u[:, j], steps, float(before[j])), strict=True):
+        course = u.copy()
+        course[:, j] = behind
+        results.append(("rate", (float(step) / dt, float(j)), course))
+    return results
+
+
+def _exchanged(judge: Judge) -> list[Course]:
+    """Return the controls with each two of them exchanged, each with the delay of the other one."""
+    u, before = judge.recording.u, holding(judge.model, judge.recording.mean)
+    late = judge.recording.late or (0,) * u.shape[1]
+    results: list[Course] = []
+    for i, j in combinations(range(u.shape[1]), 2):
+        course, later = u.copy(), late[i] - late[j]
+        for to, of, steps in ((i, j, later), (j, i, -later)):
+            moved = delayed(u, steps, before) if steps >= 0 else earlier(u, [-steps] * u.shape[1])
+            course[:, to] = moved[:, of]
+        results.append(("exchanged", (float(i), float(j)), course))
     return results
 
 

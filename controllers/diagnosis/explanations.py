@@ -215,6 +215,14 @@ def played(u: Floats, widths: Floats, before: float) -> Floats:
     return moved
 
 
+def slowed(u: Floats, steps: Floats, before: float) -> Floats:
+    """Return a control that changes by no more than each of some steps in a sample (steps x T), after the control `before`."""
+    moved, last = np.empty((len(steps), len(u))), np.full(len(steps), before)
+    for k, value in enumerate(u):
+        last = moved[:, k] = last + np.clip(value - last, -steps, steps)
+    return np.ascontiguousarray(moved)
+
+
 def faster(model: LinearModel, factor: float) -> LinearModel | None:
     """Return the model of a plant that is `factor` times as fast; None if A has no real logarithm."""
     from scipy.linalg import expm

@@ -19,7 +19,8 @@ class ModelFinding:
     kind : str
         ``"sign"`` or ``"gain"`` of a column of B, ``"gains"`` of all its columns, each by its own factor, ``"dt"`` (the plant is
         faster or slower), ``"late"`` (a delay or a lag of the control), ``"early"`` (the model's delays are too long),
-        ``"limit"`` (of the control), ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero),
+        ``"limit"`` (of the control), ``"rate"`` (a limit of its change), ``"exchanged"`` (two controls, one in the place of the
+        other), ``"deadband"`` (of the actuator: stiction or play, or a dead zone about zero),
         ``"nonlinear"`` (far from the point of linearisation; never in a closed loop with a linear plant), ``"dynamics"``
         (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of the actuator that begins
         during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
@@ -36,7 +37,7 @@ class ModelFinding:
         ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``gains``: that of each control, and
         then the standard deviation of each; ``dt``: the plant's speed relative to the model's; ``late``: seconds, 1 for a
         lag, and of one of several controls its number; ``early``: seconds, and that number; ``limit``: low, high, and the
-        control's number;
+        number of the control; ``rate``: the limit in a second, and that number; ``exchanged``: the numbers of the two controls;
         ``deadband``: its whole width in the unit of the control, the control's number, and 1 if it is about where the actuator
         stands, 0 if about zero; ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the
         first sample (infinity: to the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin,

@@ -83,15 +83,21 @@ class Explanation:
         return sum(self.support)
 
     @property
-    def counts(self) -> bool:
-        """Whether the sensors of every set have enough evidence for it, and the error is large enough.
+    def evident(self) -> bool:
+        """Whether the sensors of every set have enough evidence for it, however small the error is.
 
         Each set has its share of `EVIDENCE` if all sets without any one of them are to have that much.
         """
-        off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
         # A model of other noise has another scale of its innovations, so that their squares may grow where the likelihood does.
-        less = self.kind == "noise" or max(self.left) < 1 - RELEVANT.get(self.kind, 0.0)
-        return min(self.support) > EVIDENCE / max(1, len(self.support) - 1) and less and off > CLOSE
+        less = self.kind == "noise" or max(self.left) < 1.0
+        return min(self.support) > EVIDENCE / max(1, len(self.support) - 1) and less
+
+    @property
+    def counts(self) -> bool:
+        """Whether it is evident, and the error is large enough."""
+        off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
+        relevant = self.kind not in RELEVANT or max(self.left) < 1.0 - RELEVANT[self.kind]
+        return self.evident and relevant and off > CLOSE
 
 
 class Judge:
@@ -261,23 +267,26 @@ class Judge:
     def gains(self, effects: Floats) -> list[Explanation]:
         """Fit the effect of each control alone, and all together, from their responses.
 
+        An effect that is below zero, but not clearly, is none.
         Together they count if they explain clearly more than the best one alone, and none is reversed. Otherwise the run may tell
         no more than a ratio of two effects, which any of them may explain: then each one is returned, else the best.
         """
         alone = []
         for j in range(self.model.controls):
-            fit = self.fitted("gain", effects[:, j : j + 1])
-            g = 1.0 + fit.values[0]
-            alone.append(replace(fit, kind="sign" if g < 0 else "gain", values=(g, float(j))))
+            theta, spreads, costs = self._fit(effects[:, j : j + 1])
+            g, spread = 1.0 + float(theta[0]), float(spreads[0] * np.sqrt(costs[1].max()))
+            reversed_ = g + SURELY * spread < 0.0
+            values = (g if reversed_ else max(g, 0.0), float(j))
+            alone += self.of("sign" if reversed_ else "gain", [values], costs)
         best, more = max(alone, key=lambda x: x.total), len(alone) - 1
         if not more:
             return alone
         theta, spreads, costs = self._fit(effects)
-        values = (*(1.0 + theta), *(spreads * np.sqrt(costs[1].max())))
-        (together,) = self.of("gains", [tuple(map(float, values))], costs, len(theta))
-        reversed_ = (theta + SURELY * np.array(values[len(theta) :]) < -1.0).any()
+        every = (*(1.0 + theta), *(spreads * np.sqrt(costs[1].max())))
+        (together,) = self.of("gains", [tuple(map(float, every))], costs, len(theta))
+        any_reversed = (theta + SURELY * np.array(every[len(theta) :]) < -1.0).any()
         ahead = together.total - best.total + 0.5 * more * np.log(self.rows).sum()  # without the cost of the parameters
-        return [best, together] if ahead > TOGETHER * more and not reversed_ else alone
+        return [best, together] if ahead > TOGETHER * more and not any_reversed else alone
 
     def _fit(self, responses: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return the sizes of pushes by least squares, their standard deviations for unit noise, and the costs."""

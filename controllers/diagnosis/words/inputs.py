@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.words.phrases import STUCK_AT, beyond, gains, since, strongly
+from bayesftc.controllers.diagnosis.words.phrases import NO_EFFECT, STUCK_AT, beyond, gains, since, strongly
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ def _sign(values: Sequence[float], model: LinearModel) -> str:
 
 def _gain(values: Sequence[float], model: LinearModel) -> str:
     noise = " If it is measured, much noise in it has this effect, too." if values[0] < 1.0 else ""
+    if abs(values[0]) < NO_EFFECT:
+        return f"{_input(values[1], model)} has little or no effect on the plant. Check what it drives, and its column.{noise}"
     return (
         f"{_input(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check its unit and "
         f"scale.{noise}"
@@ -65,6 +67,18 @@ def _early(values: Sequence[float], model: LinearModel) -> str:
 
 def _limit(values: Sequence[float], model: LinearModel) -> str:
     return f"the plant does not follow {_input(values[2], model)} where it is {beyond(values)}: something behind it has a limit."
+
+
+def _rate(values: Sequence[float], model: LinearModel) -> str:
+    return (
+        f"the plant follows {_input(values[1], model)} as if it could change by no more than about {values[0]:.2g} in a second: "
+        "something behind it has a limit of its rate."
+    )
+
+
+def _exchanged(values: Sequence[float], model: LinearModel) -> str:
+    one, other = (_input(j, model) for j in values)
+    return f"{one} acts as {other} does in the model, and the other way round. Check the order of their columns."
 
 
 def _deadband(values: Sequence[float], model: LinearModel) -> str:
@@ -128,6 +142,8 @@ def of_inputs(first: datetime | None) -> dict[str, Callable[[Sequence[float], Li
         "late": _late,
         "early": _early,
         "limit": _limit,
+        "rate": _rate,
+        "exchanged": _exchanged,
         "deadband": _deadband,
         "load": _load,
         "onset": partial(_onset, first=first),

@@ -79,4 +79,4 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
-__all__ = ["STUCK_AT", "beyond", "change", "gains", "listed", "named", "since", "strongly"]
+__all__ = ["NO_EFFECT", "STUCK_AT", "beyond", "change", "gains", "listed", "named", "since", "strongly"]

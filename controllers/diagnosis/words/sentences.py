@@ -12,6 +12,7 @@ import numpy as np
 from bayesftc.controllers.diagnosis.candidates import AS_STATED, EFFECT
 from bayesftc.controllers.diagnosis.words.inputs import of_inputs
 from bayesftc.controllers.diagnosis.words.phrases import (
+    NO_EFFECT,
     STUCK_AT,
     beyond,
     change,
@@ -136,6 +137,7 @@ def sentence(
     words: dict[str, Callable[[Sequence[float], LinearModel], str]] = {
         **_WORDS,
         "load": partial(_load, units=control_units),
+        "rate": partial(_rate, units=control_units),
         "deadband": partial(_deadband, units=control_units),
         "loss": partial(_loss, units=control_units, linear=linear),
         "onset": partial(_onset, units=control_units, elsewhere=elsewhere, state=state, linear=linear),
@@ -292,6 +294,11 @@ def _sign(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _gain(values: Sequence[float], model: LinearModel) -> str:
+    if abs(values[0]) < NO_EFFECT:
+        return (
+            f"{named(values[1], model)} has little or no effect on the plant. Check B, and whether the actuator works: it may be "
+            "switched off, stuck, much slower than the control, or not connected."
+        )
     return (
         f"{named(values[1], model)} moves the plant {values[0]:.3g} times as strongly as in the model. Check B: the gain of "
         "the actuator, and the mass, inertia or capacity that it acts on."
@@ -346,6 +353,23 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
     return (
         f"the plant does not get {named(values[2], model)} where it is {beyond(values)}. The actuator has a limit that the "
         "controller does not have. Give it as u_min and u_max."
+    )
+
+
+def _rate(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
+    rate, j = values
+    unit = behind(units[int(j)]) if len(units) == model.controls else ""
+    return (
+        f"the plant gets {named(j, model)} as if it could change by no more than about {rate:.2g}{unit} in a second. The "
+        "actuator has a limit of its rate that the controller does not have. Give it as u_rate, or weaken the control."
+    )
+
+
+def _exchanged(values: Sequence[float], model: LinearModel) -> str:
+    one, other = (named(j, model) for j in values)
+    return (
+        f"{one} acts as {other} does in the model, and the other way round: the two are exchanged. Check the order of the "
+        "controls and their wires, and the columns of B."
     )
 
 
@@ -589,7 +613,7 @@ def _dynamics(values: Sequence[float], model: LinearModel) -> str:
 def _unknown(values: Sequence[float], model: LinearModel) -> str:
     return (
         "neither A, B and C of the model nor its noise explain the plant's motion, and no simple explanation fits the run: not "
-        "the sign, gain, delay or limit of a control, not dt, not one or two loads of constant size, not other linear dynamics. "
+        "the sign, gain, delay or limits of a control, not dt, not one or two loads of constant size, not other linear dynamics. "
         "There may be several causes, such as loads that change, noise that comes in bursts, and sensor faults: diagnose a "
         "shorter run, or the begin of this one (diagnose_recording). If the model is wrong there as well, identify it anew from "
         "a recording in which the controls move the plant (LinearModel.identify). Against loads that change, "
@@ -612,6 +636,7 @@ _WORDS = {
     "late": _late,
     "early": _early,
     "limit": _limit,
+    "exchanged": _exchanged,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

@@ -1,10 +1,13 @@
 """What is wrong with one of several controls is named with this control."""
 
 from dataclasses import replace
+from itertools import product
 
+import control
 import numpy as np
 import pytest
 
+from bayesftc import controllers, cosim
 from bayesftc.controllers import LinearModel, diagnose_recording
 from bayesftc.controllers.models.linear import SignalNames
 
@@ -49,3 +52,86 @@ def test_a_wrong_dead_time_of_one_control_is_named_with_it(modelled, true, kind,
         return
     assert (finding.kind, finding.values) == (kind, values)
     assert words in finding.sentence
+
+
+def held_back(u):
+    """Return controls of which the second one changes by no more than 0.1 in a sample."""
+    slow = u.copy()
+    for t in range(1, len(u)):
+        slow[t, 1] = slow[t - 1, 1] + np.clip(u[t, 1] - slow[t - 1, 1], -0.1, 0.1)
+    return slow
+
+
+@pytest.mark.parametrize(
+    ("acting", "kind", "values", "words"),
+    [
+        (held_back, "rate", (0.1, 1.0), "steam as if it could change by no more than about 0.1 in a second"),
+        (
+            lambda u: u[:, ::-1],
+            "exchanged",
+            (0.0, 1.0),
+            "the control stock acts as the control steam does in the model",
+        ),
+        (lambda u: u * [0.0, 1.0], "gain", (0.0, 0.0), "the control stock has little or no effect on the plant"),
+        (lambda u: u * [1.0, -1.0], "sign", (-1.0, 1.0), "the control steam moves the plant in the opposite direction"),
+        (lambda u: np.clip(u, [-9, -0.7], [9, 0.7]), "limit", (-0.7, 0.7, 1.0), "steam where it is below -0.7"),
+    ],
+)
+def test_what_is_wrong_with_one_control_is_named(acting, kind, values, words):
+    finding = diagnose_recording(MODEL, *recording(acting=acting))
+    assert finding.kind == kind
+    assert finding.values == pytest.approx(values, abs=0.03)
+    assert words in finding.sentence
+    assert not {"limit", "rate"} & {*finding.others}  # they would say what hardly any effect says
+
+
+def test_controls_with_different_delays_are_exchanged_with_them():
+    y, u = recording(late=(1, 4), acting=lambda u: u)
+    finding = diagnose_recording(MODEL.with_delays((1, 4)), y, u[:, ::-1])
+    assert (finding.kind, finding.values) == ("exchanged", (0.0, 1.0))
+
+
+@pytest.mark.slow
+def test_a_control_without_effect_is_not_called_reversed_because_the_other_answers_for_it():
+    """The sets of sensors do not see what the control knows from the others; all sensors together decide on its sign."""
+    plants = [control.ss(-np.diag([0.05, 0.1]), [[0.05 * g, 0.01, 0.05, 0.0], [0.0, 0.1, 0.0, 0.1]], np.eye(2), 0,
+        inputs=["p", "q", "dp", "dq"], outputs=["a", "b"]) for g in (1.0, 0.0, -1.0)]  # fmt: skip
+    controller = controllers.design(
+        plants[0], measured=["a", "b"], actuated=["p", "q"], sensors=[2, 2], sensor_std=0.05, dt=1.0,
+        noise={"dp": 0.3, "dq": 0.3}, acceptable_error=0.1, acceptable_control=2.0,
+    )  # fmt: skip
+    kinds = []
+    for plant, seed in product(plants, range(4)):
+        loop = cosim.closed_loop(
+            plant, controller, control=["p", "q"], measured=["a", "b"], sensors=cosim.Sensors([2, 2], 0.05),
+            reference=[0.0, 0.0], noise={"dp": cosim.Gaussian(std=0.3), "dq": cosim.Gaussian(std=0.3)},
+        )  # fmt: skip
+        finding = controllers.diagnose(loop.simulate(600.0, seed=seed), loop)
+        kinds.append(set() if finding is None else {finding.kind, *finding.others})
+    assert not any(kinds[:4])
+    assert all(found & {"gain", "gains"} and "sign" not in found for found in kinds[4:8])
+    assert all("sign" in found for found in kinds[8:])
+
+
+@pytest.mark.slow
+def test_another_growth_rate_of_an_unstable_plant_is_no_noise():
+    """Its effect on the innovations is small, but the model lacks noise by this run, and other dynamics explain more."""
+    plants = [
+        control.ss([[g, 0.02, 0.0], [0.0, -500.0, 500.0], [0.0, 0.0, -10.0]], [[0.0, 1.0], [0.0, 0.0], [500.0, 0.0]],
+                   [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], 0, inputs=["volt", "kick"], outputs=["z", "i"])
+        for g in (100.0, 130.0)
+    ]  # fmt: skip
+    std = [2e-3] * 4 + [5.0] * 2
+    controller = controllers.design(
+        plants[0], measured=["z", "i"], actuated="volt", goal="z", sensors=[4, 2], sensor_std=std, dt="1/5000",
+        noise={"kick": 0.2, "volt": 2.0}, acceptable_error=5e-3, acceptable_control=150.0,
+    )  # fmt: skip
+    kinds = []
+    for plant in plants:
+        loop = cosim.closed_loop(
+            plant, controller, control="volt", measured=["z", "i"], sensors=cosim.Sensors([4, 2], std),
+            noise={"kick": cosim.Gaussian(std=0.2)}, reference=cosim.Sine(amplitude=0.005, period=0.05),
+        )  # fmt: skip
+        finding = controllers.diagnose(loop.simulate(1.0, seed=0), loop)
+        kinds.append(None if finding is None else finding.kind)
+    assert kinds == [None, "dynamics"]
