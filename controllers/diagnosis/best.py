@@ -109,6 +109,7 @@ def best_explanations(
         samples[:last],
         controls[:last],
         mean,
+        beyond=controls[last:],
         presence=Presence(np.isfinite(samples[:last])) if each else presence_of(samples[:last], seen),
         late=() if delays is None else tuple(late + min(delays.sensors) for late in delays.inputs),
         linear=linear,

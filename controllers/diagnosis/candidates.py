@@ -465,7 +465,7 @@ def _early(judge: Judge, coarse: list[Explanation] | None = None) -> list[Course
         else:
             best = _best(coarse, "early", lambda x, which=which: x.values[1:] == which)  # type: ignore[misc]
             steps = [k for k in _near(best.values[0] / dt, most) if k <= most]
-        courses = [(k, earlier(u, [min(k, late) for late in possible])) for k in steps]
+        courses = [(k, earlier(judge.recording, [min(k, late) for late in possible])) for k in steps]
         results += [("early", (k * dt, *which), _only(u, which, course)) for k, course in courses]
     return results
 
@@ -545,7 +545,7 @@ def _exchanged(judge: Judge) -> list[Course]:
     for i, j in combinations(range(u.shape[1]), 2):
         course, later = u.copy(), late[i] - late[j]
         for to, of, steps in ((i, j, later), (j, i, -later)):
-            moved = delayed(u, steps, before) if steps >= 0 else earlier(u, [-steps] * u.shape[1])
+            moved = delayed(u, steps, before) if steps >= 0 else earlier(judge.recording, [-steps] * u.shape[1])
             course[:, to] = moved[:, of]
         results.append(("exchanged", (float(i), float(j)), course))
     return results

@@ -46,6 +46,8 @@ class Recording:
         Sensors with an unknown constant offset.
     linear : bool
         Whether the plant is known to be linear.
+    beyond : ndarray, any number x p, optional
+        Controls after the last sample, as the model's delays let them act.
     """
 
     y: Floats
@@ -56,10 +58,16 @@ class Recording:
     late: tuple[int, ...] = ()
     offsets: tuple[int, ...] = ()
     linear: bool = False
+    beyond: Floats | None = None
 
     def until(self, end: int) -> Recording:
         """Return the first `end` samples."""
-        return replace(self, y=self.y[:end], u=self.u[:end])
+        return replace(self, y=self.y[:end], u=self.u[:end], beyond=self.known[end:])
+
+    @property
+    def known(self) -> Floats:
+        """The controls, also those after the last sample."""
+        return self.u if self.beyond is None else np.concatenate([self.u, self.beyond])
 
 
 def innovations(
@@ -182,12 +190,10 @@ def delayed(u: Floats, steps: int, before: Floats) -> Floats:
     return np.concatenate([np.tile(before, (min(steps, len(u)), 1)), u[: max(len(u) - steps, 0)]])
 
 
-def earlier(u: Floats, steps: Sequence[int]) -> Floats:
-    """Return each control some samples early, with its last value at the end."""
-    early = np.repeat(u[-1:], len(u), axis=0)
-    for j, k in enumerate(steps):
-        early[: len(u) - k, j] = u[k:, j]
-    return early
+def earlier(recording: Recording, steps: Sequence[int]) -> Floats:
+    """Return each control some samples early, with its last known value at the end."""
+    known, rows = recording.known, np.arange(len(recording.u))[:, None] + np.array(steps)
+    return np.asarray(known[np.minimum(rows, len(known) - 1), np.arange(known.shape[1])])
 
 
 def lagged(u: Floats, steps: float, before: Floats) -> Floats:

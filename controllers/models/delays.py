@@ -148,15 +148,16 @@ def aligned(model: Any, y: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Return samples and controls of a model with delays as ``model.undelayed`` has them: readings earlier, controls later.
 
     Of each sensor the last samples are missing, as they come after the recording. The controls before the recording are unknown,
-    and the samples while one of them acts count as missing: the plant then begins in an unknown state.
+    and the samples while one of them acts count as missing: the plant then begins in an unknown state. The controls that act after
+    the last sample follow in further rows; one that is not known any more stays.
     """
     if model.delays is None:
         return y, u
-    samples, controls = np.full_like(y, np.nan), np.repeat(u[:1], len(u), axis=0)
+    samples, controls = np.full_like(y, np.nan), np.repeat(u[-1:], len(u) + max(model.delays.inputs), axis=0)
     for i, old in enumerate(model.delays.sensors):
         samples[: max(len(y) - old, 0), i] = y[old:, i]
     for j, late in enumerate(model.delays.inputs):
-        controls[late:, j] = u[: max(len(u) - late, 0), j]
+        controls[:late, j], controls[late : late + len(u), j] = u[0, j], u[:, j]
     samples[: max(model.delays.inputs)] = np.nan
     return samples, controls
 

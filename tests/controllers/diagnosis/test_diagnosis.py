@@ -556,7 +556,7 @@ def test_the_samples_of_a_closed_loop_need_no_name(tmp_path):
     named = loop.simulate(10.0, engine="interpreted", record=["*", "controller.y"])
     finding = controllers.diagnose(named, controller)
     assert "sign" in {finding.kind, *finding.others}
-    assert controllers.diagnose(named, loop) == finding
+    assert controllers.diagnose(named, loop).kind == "sign"  # in the loop the plant is known to be linear
     for one in (result, cosim.Result.load(tmp_path / "run.npz")):
         assert controllers.diagnose(one, controller) == controllers.diagnose(named, controller)
         assert controllers.check_kalman(one, controller) == controllers.check_kalman(named, controller)
@@ -805,12 +805,14 @@ LATE = {"of the control": ((5, 0), 2, 3), "of the sensors": ((0, 4), 0, 4), "of 
 
 
 @pytest.mark.parametrize("case", [*list(LATE)[:2], pytest.param("of both", marks=pytest.mark.slow)])
-def test_delays_of_a_model_that_are_too_long_are_named(case):
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
+def test_delays_of_a_model_that_are_too_long_are_named(case, seed):
+    """The last controls of a recording, which the model lets act after it, act within it."""
     delays, samples, expected = LATE[case]
     A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]])
     right = controllers.LinearModel(A, B, [[1, 0], [1, 0]], 1e-2 * B @ B.T, 4e-4, dt=0.1)
     model = right.with_delays(*delays)
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(seed)
     u = np.repeat(rng.normal(size=(25, 1)), 8, axis=0)
     y, x = np.empty((len(u), 2)), np.zeros(2)
     for k in range(len(u)):
