@@ -148,8 +148,8 @@ def aligned(model: Any, y: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Return samples and controls of a model with delays as ``model.undelayed`` has them: readings earlier, controls later.
 
     Of each sensor the last samples are missing, as they come after the recording. The controls before the recording are unknown,
-    and the samples while one of them acts count as missing: the plant then begins in an unknown state. The controls that act after
-    the last sample follow in further rows; one that is not known any more stays.
+    and the samples while one of them acts count as missing: the plant then begins in an unknown state. The controls that act
+    after the last sample follow in further rows; one that is not known any more stays.
     """
     if model.delays is None:
         return y, u
