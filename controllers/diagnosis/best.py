@@ -47,7 +47,9 @@ others' noise made up to .015."""
 FITS = 1.5
 """Mean square of the innovations of all sensors, relative to the expected one, up to which they fit the model."""
 
-SIMPLE = frozenset({"sign", "gain", "gains", "dt", "late", "early", "limit", "rate", "exchanged", "deadband", "offset"})
+SIMPLE = frozenset(
+    {"sign", "gain", "gains", "dt", "late", "early", "limit", "rate", "exchanged", "deadband", "offset", "late_sensors"}
+)
 """Kinds with few parameters; one that explains a shorter run fully ranks above others that fit a longer run partly."""
 
 FLEXIBLE = frozenset({"dynamics", "nonlinear"})

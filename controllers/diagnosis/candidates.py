@@ -24,7 +24,7 @@ from bayesftc.controllers.diagnosis.explanations import (
     slowed,
 )
 from bayesftc.controllers.diagnosis.judge import EVIDENCE, RELEVANT, Explanation, Judge
-from bayesftc.controllers.diagnosis.offsets import offsets
+from bayesftc.controllers.diagnosis.offsets import late_sensors, offsets
 from bayesftc.controllers.estimation.innovation import steady_prediction
 from bayesftc.controllers.estimation.observers import observers
 from bayesftc.controllers.models.disturbances import has_loads, with_loads
@@ -132,6 +132,8 @@ def explanations(judge: Judge) -> list[Explanation]:
         x for x in results if x.kind not in BOUNDS or x.total > effects.get(x.values[-1], -np.inf) + NEARLY
     ]  # a bound that leaves hardly anything of a control explains what no effect of it does
     results += changes(judge, results) + offsets(judge)
+    if any(x.counts for x in results):  # else it would only take time
+        results += late_sensors(judge)
     return ranked(best_of_each(results))
 
 

@@ -3,11 +3,11 @@
 Observers of sets of sensors predict the samples under each explanation: the control has another sign or size, a delay, a lag, a
 limit, a limit of its rate or a dead band; two controls are exchanged; the plant is faster or slower than the model; a load acts
 all the time, or one or two begin during the run; the plant has other dynamics, or nonlinear ones; noise moves it that the model
-does not have; all sensors of a quantity have an offset. The measure is the likelihood, with a free scale of the innovations (so
-that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts only with the evidence of
-*every* set: an error of one set alone is a fault of its sensors. Stretches in which sensors of one quantity disagree are left
-out, and sensors that the others contradict for long. The fault probabilities of the precision learner, which a wrong model
-spoils, are therefore not needed.
+does not have; all sensors of a quantity have an offset, or are late. The measure is the likelihood, with a free scale of the
+innovations (so that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts only
+with the evidence of *every* set: an error of one set alone is a fault of its sensors. Stretches in which sensors of one
+quantity disagree are left out, and sensors that the others contradict for long. The fault probabilities of the precision
+learner, which a wrong model spoils, are therefore not needed.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class ModelFinding:
         ``"nonlinear"`` (far from the point of linearisation; never in a closed loop with a linear plant), ``"dynamics"``
         (another A), ``"load"`` (a constant load), ``"onset"`` (a load or an offset of the actuator that begins
         during the run), ``"loss"`` (a control of which the effect changes during the run), ``"offset"``
-        (all sensors of a quantity have a constant offset), ``"noise"``
+        (all sensors of a quantity have a constant offset), ``"late_sensors"`` (all of a quantity are late), ``"noise"``
         (more process noise than in the model, or a load that changes all the time; only if another kind would be reported
         without it, or `model_suspect` was raised),
         ``"sensors"`` (one or several sensors failed: without the samples for which the controller blames them there is no
@@ -34,20 +34,20 @@ class ModelFinding:
     sentence : str
         What is wrong, and what to do.
     values : tuple of float
-        ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``gains``: that of each control, and
-        then the standard deviation of each; ``dt``: the plant's speed relative to the model's; ``late``: seconds, 1 for a
+        ``sign`` and ``gain``: the control's effect relative to the model's, and its number; ``gains``: that of each control,
+        and then the standard deviation of each; ``dt``: the plant's speed relative to the model's; ``late``: seconds, 1 for a
         lag, and of one of several controls its number; ``early``: seconds, and that number; ``limit``: low, high, and the
         number of the control; ``rate``: the limit in a second, and that number; ``exchanged``: the numbers of the two controls;
         ``deadband``: its whole width in the unit of the control, the control's number, and 1 if it is about where the actuator
         stands, 0 if about zero; ``load``: a value for each control, in its unit; ``onset``: begin and end in seconds after the
         first sample (infinity: to the last one), then as ``load``; the same of a second load, if there is one; ``loss``: begin,
         end, effect relative to the model's, number of the control, and for a stuck actuator (effect near 0) the control at
-        which it is stuck; ``offset``: a value for each sensor, in its unit, 0 for those without; ``noise``: number of the state
-        (-1 for each of the plant's; that of a disturbance is a load on a control) and standard deviation in a sample; or -2 and
-        a factor of the standard deviations of the model's noise; or, for a load that the model does not have: the number that
-        its disturbance would get, the standard deviation of its change in a sample, its mean (0 if there is no evidence for a
-        mean), and the share of the model's process covariance that remains beside the load; ``start``: the belief, the first
-        sample, and the sensor; else empty.
+        which it is stuck; ``offset``: a value for each sensor, in its unit, 0 for those without; ``late_sensors``: seconds for
+        each sensor; ``noise``: number of the state (-1 for each of the plant's; that of a disturbance is a load on a control)
+        and standard deviation in a sample; or -2 and a factor of the standard deviations of the model's noise; or, for a load
+        that the model does not have: the number that its disturbance would get, the standard deviation of its change in a
+        sample, its mean (0 if there is no evidence for a mean), and the share of the model's process covariance that remains
+        beside the load; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model. Each set of sensors that can observe the plant on its own has one; this is
         the least.

@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.words.phrases import NO_EFFECT, STUCK_AT, beyond, gains, since, strongly
+from bayesftc.controllers.diagnosis.words.phrases import NO_EFFECT, STUCK_AT, beyond, gains, listed, since, strongly
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -104,6 +104,14 @@ def _loss(values: Sequence[float], model: LinearModel, first: datetime | None) -
     return f"{name} moves the plant {strongly(values[2])} {when}. Look for a fault of {name}, or of what it drives."
 
 
+def _late_sensors(values: Sequence[float], model: LinearModel) -> str:
+    late = [model.names.sensors[i] if model.names else f"sensor {i}" for i, value in enumerate(values) if value]
+    return (
+        f"{listed(list(dict.fromkeys(late)))} {'are' if len(late) > 1 else 'is'} late, by {max(values):.3g} s. Check the time "
+        "stamps, and the delays in the model file."
+    )
+
+
 def _load(values: Sequence[float], model: LinearModel) -> str:
     sizes = " and of ".join(f"{_input(j, model)} by {value:.3g}" for j, value in enumerate(values))
     return (
@@ -144,6 +152,7 @@ def of_inputs(first: datetime | None) -> dict[str, Callable[[Sequence[float], Li
         "limit": _limit,
         "rate": _rate,
         "exchanged": _exchanged,
+        "late_sensors": _late_sensors,
         "deadband": _deadband,
         "load": _load,
         "onset": partial(_onset, first=first),

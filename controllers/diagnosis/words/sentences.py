@@ -148,7 +148,7 @@ def sentence(
     said: dict[str, str] = {}
     for each, its in found:
         said.setdefault(words[each](its, model) if moved or each == "offset" else UNMOVED, each)
-    which = APART if kind == "offset" and len(model.alike) > 1 else ALIKE
+    which = APART if kind in {"offset", "late_sensors"} and len(model.alike) > 1 else ALIKE
     if kind == "offset" and _unequal(values, model):
         which = UNLIKE
     actuators = _actuators(found, model, inferred) if moved and not recorded else ""
@@ -447,6 +447,21 @@ def _offset(values: Sequence[float], model: LinearModel, units: Sequence[str | N
     )
 
 
+def _late_sensors(values: Sequence[float], model: LinearModel) -> str:
+    late = [i for i, value in enumerate(values) if value]
+    names = list(dict.fromkeys(model.names.sensors[i] for i in late)) if model.names else []
+    who = (
+        f"all sensors of {listed(names)} ({listed(list(map(str, late)))})"
+        if names
+        else f"sensors {listed(list(map(str, late)))}"
+    )
+    steps = [round(value / float(model.step)) for value in values]
+    return (
+        f"{who} are late, by {max(values):.3g} s ({counted(max(steps), 'sample')}). Add this to their delays in the model "
+        f"(sensor_delays in design; LinearModel.with_delays(sensors={steps}), if it has none yet)."
+    )
+
+
 def _unequal(values: Sequence[float], model: LinearModel) -> bool:
     """Return whether offsets of the sensors of one quantity differ too much to be a common one."""
     std = np.sqrt(np.diag(model.matrix("sensor_covariance")))
@@ -637,6 +652,7 @@ _WORDS = {
     "early": _early,
     "limit": _limit,
     "exchanged": _exchanged,
+    "late_sensors": _late_sensors,
     "nonlinear": _nonlinear,
     "dynamics": _dynamics,
     "unknown": _unknown,

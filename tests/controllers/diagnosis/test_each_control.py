@@ -135,3 +135,16 @@ def test_another_growth_rate_of_an_unstable_plant_is_no_noise():
         finding = controllers.diagnose(loop.simulate(1.0, seed=0), loop)
         kinds.append(None if finding is None else finding.kind)
     assert kinds == [None, "dynamics"]
+
+
+@pytest.mark.parametrize(("late", "modelled"), [(4, 0), (12, 0), (9, 4), (0, 0), (4, 4)])
+def test_sensors_of_one_quantity_that_are_all_late_are_named(late, modelled):
+    y, u = recording()
+    y[:, 2:] = np.pad(y[:, 2:], ((late, 0), (0, 0)))[: len(y)]
+    finding = diagnose_recording(MODEL.with_delays(sensors=[0, 0, modelled, modelled]), y, u)
+    if late == modelled:
+        assert finding is None
+        return
+    more = late - modelled
+    assert (finding.kind, finding.values) == ("late_sensors", (0, 0, more, more))
+    assert f"all sensors of b (2 and 3) are late, by {more} s ({more} samples)" in finding.sentence
