@@ -25,6 +25,13 @@ LASTING = 1e-9
 NOTHING = 1e-20
 """Largest gain, relative to the largest one, that is printed as 0."""
 
+FAST, MANY = 0.05, 4
+"""Poles below this magnitude are counted and not listed if there are so many: delays in the plant have poles at 0, which rounding
+moves the farther the more there are."""
+
+ROUNDING = 1e-9
+"""Largest magnitude of a pole that is printed as 0."""
+
 AWAY, MOST_NAMED = 1e-9, 6
 """States below this share of the largest one, or of 1, count as 0 at an operating point; so many others at most are named."""
 
@@ -103,7 +110,7 @@ def _sensors(model: LinearModel) -> str:
 
 
 def _process_noise(model: LinearModel) -> str:
-    """Return the standard deviations of the process noise: of the controls if it acts as they do, else of the states."""
+    """Return the standard deviations of the process noise: of the controls if it acts as they do, else of inputs or states."""
     n, (loads, errors) = model.plant_states, _further_states(model)
     whole = model.matrix("process_covariance")
     Q, B = whole[:n, :n], model.effects[:n]
@@ -113,13 +120,32 @@ def _process_noise(model: LinearModel) -> str:
         controls = model.names.controls if model.names else ()
         text = f"{_each(_std(on_controls), controls)} on {'each control' if model.controls > 1 else 'the control'}"
     else:
-        text = f"{_each(_std(Q), model.state_names)} of each state"
+        text = _at_inputs(model, Q) or f"{_each(_std(Q), model.state_names)} of each state"
     further = _std(whole)[model.states - model.disturbances :]
     if loads:
         text += f"; {_numbers(further[:loads])} of {'each' if loads > 1 else 'the'} disturbance"
     if errors:
         text += f"; {_numbers(further[loads:][:errors])} of each error of a sensor"
     return text
+
+
+def _at_inputs(model: LinearModel, Q: Floats) -> str:
+    """Return the standard deviations of the noise at the inputs that have some, and of loads; empty if that is not all noise."""
+    loads = lagged_loads(model, measured=True)
+    names, effects = [name for name, _ in model.noise_effects], np.array([effect for _, effect in model.noise_effects])
+    if not names or effects.shape[1] != len(Q):
+        return ""
+    others = np.delete(np.arange(len(Q)), loads)
+    rest = Q[np.ix_(others, others)]
+    products = np.array([np.outer(effect, effect).ravel() for effect in effects[:, others]]).T
+    variances = np.linalg.lstsq(products, rest.ravel())[0]
+    if (variances < 0.0).any() or np.abs(products @ variances - rest.ravel()).max() > 1e-9 * np.abs(rest).max():
+        return ""
+    text = ", ".join(f"{std:.4g} ({name})" for std, name in zip(np.sqrt(variances), names, strict=True))
+    of_loads = ", ".join(f"{std:.4g} ({model.state_names[i]})" for std, i in zip(_std(Q)[loads], loads, strict=True))
+    return f"{text} at {'these inputs' if len(names) > 1 else 'this input'}" + (
+        f"; for the loads {of_loads}" if loads else ""
+    )
 
 
 def _further_states(model: LinearModel) -> tuple[int, int]:
@@ -156,12 +182,15 @@ def learner_lines(controller: BayesianController) -> list[str]:
 
 def gain_lines(controller: BayesianController) -> list[str]:
     """Return lines about the gains of filter and control in steady state."""
-    gains = controller.steady_gains()
+    gains, model = controller.steady_gains(), controller.model.moving
+    late = () if model.delays is None else range(model.states)[model.delays.places]
+    kept = [i for i in range(model.states) if i not in late]
+    left_out = f" Those of {_count(len(late), 'past signal')} are left out; steady_gains() has all." if late else ""
     away = ", each as its deviation from the operating point" if controller.model.constant else ""
     controls = controller.model.names.controls if controller.model.names else ()
     return [
-        f"Gain of the filter, a row for each state: {_rows(gains.K, controller.model.moving.state_names)}.",
-        f"The control is F goal - K belief{away}. K, a row for each control: {_rows(gains.L, controls)}.",
+        f"Gain of the filter, a row for each state: {_rows(gains.K[kept], [model.state_names[i] for i in kept])}.{left_out}",
+        f"The control is F goal - K belief{away}. K, a row for each control: {_rows(gains.L[:, kept], controls)}.{left_out}",
         f"F, a row for each control: {_rows(gains.M, controls)}.",
     ]
 
@@ -224,8 +253,13 @@ def listed(poles: Any, dt: float, at_zero: int = 0) -> str:
     """Return poles as text, the slowest first; `at_zero` is the number of further ones at 0, those of delays."""
     ordered = sorted(map(complex, poles), key=lambda pole: (-abs(pole), -pole.imag))
     slowest = abs(ordered[0]) if ordered else 0.0
-    zeros = f", and {at_zero} at 0 for the delays" if at_zero else ""
-    return ", ".join(shown(pole) for pole in ordered) + zeros + f"; the slowest of magnitude {_with_time(slowest, dt)}"
+    fast = sum(abs(pole) < FAST for pole in ordered)
+    counted = [f"{fast} below {FAST:g} in magnitude"] if fast >= MANY else []
+    texts = [shown(pole if abs(pole) > ROUNDING else 0j) for pole in ordered[: len(ordered) - fast * len(counted)]]
+    counted += [f"{at_zero} at 0 for the delays"] if at_zero else []
+    if texts and counted:
+        counted[-1] = f"and {counted[-1]}"
+    return ", ".join(texts + counted) + f"; the slowest of magnitude {_with_time(slowest, dt)}"
 
 
 def _with_time(magnitude: float, dt: float) -> str:

@@ -94,6 +94,8 @@ class LinearModel(Printed, NamedArguments):
         Control, and state of the plant without disturbances, at the operating point: results of `about`; leave them out.
     held_inputs : sequence of (str, float)
         Inputs that are not controls, with the values at which the plant was linearised (``at=``); leave it out.
+    noise_effects : sequence of (str, sequence of float)
+        Inputs with noise (``noise=``), each with its effect on the plant's states in a step; leave it out.
     delays : Delays, optional
         Result of `with_delays`; leave it out.
 
@@ -115,6 +117,7 @@ class LinearModel(Printed, NamedArguments):
     operating_control: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
     operating_state: Sequence[float] | None = field(default=None, kw_only=True, metadata={"derived": True})
     held_inputs: Sequence[tuple[str, float]] = field(default=(), kw_only=True, metadata={"derived": True})
+    noise_effects: Sequence[tuple[str, Sequence[float]]] = field(default=(), kw_only=True, metadata={"derived": True})
     delays: Delays | None = field(default=None, kw_only=True, metadata={"derived": True})
 
     def __post_init__(self) -> None:

@@ -177,7 +177,11 @@ class Linearization:
             self.states or tuple(f"x[{i}]" for i in range(len(self.A))),
         )
         covariances = self._noise(columns, noise), variances
-        model = LinearModel(self.A, self.B[:, columns], self.C[order], *covariances, self.step, names=names)
+        noisy = [] if noise is None else list(spread("The noise", noise, self.inputs))
+        effects = tuple((self.inputs[j], tuple(self.B[:, j].tolist())) for j in noisy)
+        model = LinearModel(
+            self.A, self.B[:, columns], self.C[order], *covariances, self.step, names=names, noise_effects=effects
+        )
         if disturbance is not None and disturbance is not False:
             model = model.with_disturbance(disturbance)
         if not (self.x.any() or self.u.any() or self.y.any()):

@@ -308,7 +308,10 @@ class LinearLoop:
         return names.index(name)
 
     def _title(self, what: str, at: str | None) -> str:
-        return f"{what}, broken at the plant's input {self.parts.controls[0] if at is None else at}"
+        names = self.parts.controls
+        others = [name for j, name in enumerate(names) if j != self._number(names, at, "control", "at")]
+        closed = f"; the loop of {others[0]} stays closed" if len(others) == 1 else "; the other loops stay closed"
+        return f"{what}, broken at the plant's input {names[0] if at is None else at}{closed * bool(others)}"
 
 
 def _broken(opened: Matrices, j: int) -> Matrices:

@@ -1,6 +1,7 @@
 """What controllers say of themselves, against the Riccati equation and runs."""
 
 import re
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.linalg import solve_discrete_are
 
 from bayesftc import controllers, cosim
 from bayesftc.controllers import FixedPrecision
-from bayesftc.controllers.bayesian.describing import expected_accuracy
+from bayesftc.controllers.bayesian.describing import expected_accuracy, listed
 
 A, B, H = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]]), np.array([[1.0, 0.0]])
 C, Q, R = np.vstack([H, H]), np.diag([1e-4, 2e-4]), np.diag([0.04, 0.09])
@@ -247,3 +248,41 @@ def test_the_law_about_an_operating_point_is_one_of_deviations():
     )
     assert words in controller.describe()
     assert "The control is F goal - K belief. K, a row" in lqg().describe()
+
+
+def test_noise_is_described_at_the_inputs_at_which_it_was_stated():
+    """The states of a model by responses say nothing to an engineer, and the noise was stated for inputs."""
+    plant = control.ss(
+        [[-1.0, 0.0], [1.0, -0.2]], [[1.0, 0.5], [0.0, 1.0]], [[0.0, 1.0]], 0, inputs=["u", "kick"], outputs=["y"]
+    )
+    given = {"measured": "y", "actuated": "u", "dt": 0.1, "sensors": 2, "noise": {"kick": 0.2, "u": 3.0}}
+    start = "Expected process noise in each step, as standard deviations: "
+    text = controllers.design(plant, **given).describe()
+    assert f"{start}0.2 (kick), 3 (u) at these inputs.\n" in text
+    assert (
+        f"{start}0.2 (kick), 3 (u) at these inputs.\n" in controllers.design(plant, **given, input_delays=2).describe()
+    )
+    loaded = controllers.design(plant, **given | {"noise": {"u": 3.0}, "loads": {"kick": (0.2, 5.0)}})
+    assert (
+        f"{start}3 (u) at this input; for the loads {0.2 * np.sqrt(1 - np.exp(-0.04)):.4g} (kick).\n"
+        in loaded.describe()
+    )
+    other = replace(loaded.model, process_covariance=np.diag([1.0, 2.0, 1e-4]))
+    assert "(kick) of each state" in replace(loaded, model=other).describe()
+
+
+def test_poles_that_rounding_moves_from_zero_and_past_signals_are_counted():
+    delays = np.eye(8, k=-1)  # a plant that holds its own delays
+    delays[0, 0] = 0.9
+    plant = control.ss(delays, [[0.1], *[[0.0]] * 7], [[*[0.0] * 7, 1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+    lines = controllers.design(plant, measured="y", actuated="u", sensors=2, input_delays=2).describe().splitlines()
+    poles = r"(-?[\d.]+(\+[\d.]+j)?, )+(and )?\d+ below 0\.05 in magnitude, and 2 at 0 for the delays; the slowest"
+    assert re.search(poles, lines[0])
+    gains = [line for line in lines if line.startswith(("Gain of the filter", "The control is"))]
+    assert not any("u[-1]" in line for line in gains)
+    assert all(line.endswith(" Those of 2 past signals are left out; steady_gains() has all.") for line in gains)
+    assert re.match(r"Closed-loop poles of the control: 0\.9, 0; the slowest", pole_text([0.9, 1e-17]))
+
+
+def pole_text(poles):
+    return f"Closed-loop poles of the control: {listed(np.array(poles), 0.1)}"

@@ -188,6 +188,9 @@ def test_with_several_controls_the_loop_is_broken_at_one_and_the_other_stays_clo
         for pole in poles:
             assert np.abs(again - pole).min() < 1e-6
     assert loop.margins("valve") != loop.margins("heater")
+    title = "broken at the plant's input heater; the loop of valve stays closed"
+    assert loop.bode("heater").get_suptitle() == f"Loop transfer function, {title}"
+    assert loop.root_locus("heater").get_suptitle() == f"Root locus, {title}"
     assert loop.step_info("heat")["SteadyStateValue"] == pytest.approx(1.0)
     assert loop.step_info("heat", "level")["SteadyStateValue"] == pytest.approx(0.0, abs=1e-9)
     with pytest.raises(ModelError, match=r"2 controls: valve, heater\. Name one of them: at='valve'"):
