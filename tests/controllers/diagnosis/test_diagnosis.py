@@ -14,7 +14,7 @@ from wrong_models import LEARNERS, Case, cases, loop, parts, run
 from bayesftc import controllers, cosim, fmus
 from bayesftc.controllers.diagnosis.blamed import _without_blamed
 from bayesftc.controllers.diagnosis.diagnose import diagnose_inputs, diagnose_recording
-from bayesftc.controllers.diagnosis.explanations import delayed, earlier, faster
+from bayesftc.controllers.diagnosis.explanations import Recording, delayed, earlier, faster
 from bayesftc.controllers.diagnosis.words.sentences import faulty_sensors, moved_at_times, sentence
 from bayesftc.controllers.estimation.consistency import MEAN_LIMIT, PRODUCT_LIMIT, UNCERTAIN, WINDOW
 from bayesftc.controllers.estimation.observers import observers
@@ -889,7 +889,10 @@ def test_before_the_recording_the_control_held_the_plant(late, seed):
 
 def test_earlier_controls_come_earlier_each_by_its_own():
     u = np.arange(10.0).reshape(5, 2)
-    np.testing.assert_array_equal(earlier(u, [1, 3]), [[2, 7], [4, 9], [6, 9], [8, 9], [8, 9]])
+    recording = Recording(np.zeros((5, 1)), u, np.zeros(1))
+    np.testing.assert_array_equal(earlier(recording, [1, 3]), [[2, 7], [4, 9], [6, 9], [8, 9], [8, 9]])
+    # The controls after the samples are known, until they end as well.
+    np.testing.assert_array_equal(earlier(recording.until(3), [1, 3]), [[2, 7], [4, 9], [6, 9]])
 
 
 CAR = cosim.FMU(fmus.path("CruiseControl"), parameters={"v0": 20.0})
