@@ -38,6 +38,7 @@ from bayesftc.cosim.diagram.wiring import (
     has_later_goals,
     preview_time,
     warn_of_held_inputs,
+    warn_of_late_sensors,
     warn_of_other_signals,
     warn_of_rounded_delays,
     warn_of_start,
@@ -228,6 +229,7 @@ def closed_loop(
     diagram.check_units()
     warn_of_held_inputs(diagram, node, controller_node)
     warn_of_start(diagram, node, controller_node)
+    warn_of_late_sensors(diagram, controller_node)
     check_goals_ahead(diagram, controller_node)
     check_units_of_goals(diagram)
     unread = _unread(sensors, controller, [port.name for port in outputs])

@@ -460,6 +460,31 @@ def warn_of_turns(sensors: Sensors) -> None:
         )
 
 
+def warn_of_late_sensors(diagram: Diagram, controller: Node) -> None:
+    """Warn of a dead time of a sensor that the controller's model does not know, while another sensor is not as late.
+
+    If all sensors of a quantity are late alike, the model may have the dead time among the states of its plant.
+    """
+    C, y = getattr(controller.block, "measurement_matrix", None), controller.port("y")
+    sensors, step = find_sensors(diagram), diagram.step * controller.every
+    rows = sensors.block.rows  # type: ignore[attr-defined]
+    if C is None or rows is None or len(C) != y.size or len(rows) != y.size or not np.isfinite(C).all():
+        return
+    known = getattr(getattr(controller.block.model, "delays", None), "sensors", (0,) * y.size)  # type: ignore[attr-defined]
+    samples = [dead_time(diagram, controller, y, i) / step for i in range(y.size)]
+    unknown = [late - of_model for late, of_model in zip(samples, known, strict=True)]
+    for i in range(y.size):
+        least = max(min(unknown[j] for j in range(y.size) if np.array_equal(C[j], C[i])), 0)
+        if unknown[i] >= least + 1:
+            name = label_of(diagram, sensors, tuple(rows[i]), i)[0]
+            warn_user(
+                f"Sensor {i} ({name}) is {show((unknown[i] - least) * step)} s later than the controller's model says, beside "
+                "another sensor of its quantity: it may be blamed while the quantity changes. Give the controller the delays of "
+                f"its sensors in samples: design(sensor_delays={[round(late) for late in samples]}), or model.with_delays."
+            )
+            return
+
+
 UNLIKELY = 5.0
 """Standard deviations between belief and plant at the start from which on healthy sensors are blamed."""
 

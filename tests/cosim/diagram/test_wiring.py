@@ -77,7 +77,28 @@ def test_a_delay_of_a_slow_sensor_that_is_no_multiple_of_its_sample_time_is_warn
     np.testing.assert_array_equal(y["delay_1.y"][5::5, 1], y["sensors.y"][:-5:5, 1])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", "Sensor 1 .* later than the controller's model says")
         slow_loop(faults=[cosim.Delay(sensor=1, delay=1.0), cosim.Delay(sensor=0, delay=0.3)])
+
+
+def test_a_late_sensor_beside_others_that_the_model_does_not_know_is_warned_of(recwarn):
+    late, other = cosim.Delay(sensor=1, delay=0.3), cosim.Delay(sensor=0, delay=0.3)
+    with pytest.warns(UserWarning, match="Sensor 1") as caught:
+        slow_loop(every=1, faults=[late])
+    assert str(caught[0].message) == (
+        "Sensor 1 (y) is 0.3 s later than the controller's model says, beside another sensor of its quantity: it may be blamed "
+        "while the quantity changes. Give the controller the delays of its sensors in samples: design(sensor_delays=[0, 3]), or "
+        "model.with_delays."
+    )
+    recwarn.clear()
+    slow_loop(every=1, faults=[late, other])
+    slow_loop(every=1, faults=[cosim.Delay(sensor=1, delay=0.3, start=1.0)])
+    model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1).with_delays(0, [0, 3])
+    given = {"control": "u", "measured": "y", "reference": 1.0, "sensors": cosim.Sensors(2, 0.2)}
+    plant = cosim.StateSpace(control.ss([[-1.0]], [[1.0]], [[1.0]], 0))
+    cosim.closed_loop(plant, LQGController(model), faults=[late], **given)
+    cosim.closed_loop(plant, LQGController(model), **given)
+    assert not recwarn.list
 
 
 def test_the_pauses_of_a_healthy_slow_sensor_are_no_dropouts():
