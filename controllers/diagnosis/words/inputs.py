@@ -13,6 +13,9 @@ from bayesftc.cosim.base.numbers import counted
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
 
+AS_STRONG = 0.05
+"""Relative difference of an effect from the model's up to which its size is right."""
+
 _REMEDY = "If its cause is recorded, make it an input of the model; else give the model more process noise."
 
 
@@ -25,10 +28,10 @@ def _inputs(model: LinearModel, which: Sequence[float] = ()) -> str:
 
 
 def _sign(values: Sequence[float], model: LinearModel) -> str:
-    return (
-        f"{_input(values[1], model)} moves the plant in the opposite direction, {abs(values[0]):.3g} times as strongly as in the "
-        "model. Check its sign, unit and scale."
-    )
+    opposite = f"{_input(values[1], model)} moves the plant in the opposite direction,"
+    if abs(abs(values[0]) - 1.0) < AS_STRONG:
+        return f"{opposite} about as strongly as in the model. Check its sign."
+    return f"{opposite} {abs(values[0]):.3g} times as strongly as in the model. Check its sign, unit and scale."
 
 
 def _gain(values: Sequence[float], model: LinearModel) -> str:
