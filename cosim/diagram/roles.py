@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesftc.cosim.base.invalid import invalid_values
 from bayesftc.cosim.base.units import Unit, difference, shown
 from bayesftc.cosim.block import Block
 from bayesftc.cosim.blocks.faults.base import Fault
@@ -46,11 +47,12 @@ Units = Mapping[Key, str]
 
 @dataclass(frozen=True)
 class SensorRole:
-    """One sensor: the controller's input from it, its unit, and the names of the faults in between, in their order."""
+    """One sensor: the controller's input from it, its unit, the faults in between, in their order, and its invalid values."""
 
     samples: Place | None
     unit: str | None
     faults: tuple[str, ...]
+    invalid: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -195,11 +197,13 @@ def find_roles(diagram: Diagram) -> LoopRoles:
     units |= received
     read = sensor_node.port("y")
     blocks = {node.name: node.block for node in diagram.nodes}
+    invalid = invalid_values("The controller", getattr(inferring(controller.block), "invalid", ()), y.size)
     sensors = tuple(
         SensorRole(
             _source(diagram, controller, y, i),
             shown(units[i] if i in units else read.unit_of(i) if i < read.size else None),
             tuple(fault for fault in faults_before(diagram, controller, i) if not is_dead_time(blocks[fault])),
+            tuple(invalid[i][np.isfinite(invalid[i])].tolist()),
         )
         for i in range(y.size)
     )

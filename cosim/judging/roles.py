@@ -8,7 +8,7 @@ from math import prod
 import numpy as np
 
 from bayesftc.cosim.diagram.diagram import Diagram
-from bayesftc.cosim.diagram.roles import InputRole, LoopRoles, Place, QuantityRole, find_roles
+from bayesftc.cosim.diagram.roles import InputRole, LoopRoles, Place, QuantityRole, SensorRole, find_roles
 from bayesftc.cosim.judging.signals import (
     ActuatorSignals,
     ControlSignals,
@@ -65,7 +65,7 @@ def signals_of(roles: LoopRoles, result: Result, *, drawn: bool = True) -> LoopS
     sensors = tuple(
         SensorSignals(
             i,
-            reader.at(role.samples),
+            reader.samples(role),
             reader.faulty(role.faults),
             precision[i],
             beta[i],
@@ -108,7 +108,7 @@ def true_faults(roles: LoopRoles, result: Result) -> tuple[Table, Table]:
     """
     reader = _Reader(result, roles.controller)
     sensors = [
-        SensorSignals(i, reader.at(role.samples), reader.faulty(role.faults), None, None, None)
+        SensorSignals(i, reader.samples(role), reader.faulty(role.faults), None, None, None)
         for i, role in enumerate(roles.sensors)
     ]
     faulty, missing = np.zeros((2, len(result.time), len(sensors)), dtype=bool)
@@ -163,6 +163,15 @@ class _Reader:
     def at(self, place: Place | None) -> Floats | None:
         values = None if place is None else self.signal(place[0])
         return None if values is None or place is None else _flat(values)[:, place[1]]
+
+    def samples(self, sensor: SensorRole) -> Floats | None:
+        """Return the samples of a sensor; NaN also where it sent an invalid value, such as -9999."""
+        values = self.at(sensor.samples)
+        return (
+            values
+            if values is None or not sensor.invalid
+            else np.where(np.isin(values, sensor.invalid), np.nan, values)
+        )
 
 
 def _flat(values: Floats) -> Floats:

@@ -326,7 +326,7 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds, lag, *which = values
     who = f"{named(which[0], model)} acts" if which else _all_act(model)
     if lag:
-        how = f"{who} late: the actuator has a further lag, with a time constant of about {seconds:.2g} s"
+        how = f"{who} late: the actuator has a further lag, with a time constant of about {seconds:.3g} s"
         remedy = (
             "Add a state with this lag between the control and the plant that you design for. Less exactly, give the model a "
             "delay of about that time"
@@ -360,7 +360,7 @@ def _rate(values: Sequence[float], model: LinearModel, units: Sequence[str | Non
     rate, j = values
     unit = behind(units[int(j)]) if len(units) == model.controls else ""
     return (
-        f"the plant gets {named(j, model)} as if it could change by no more than about {rate:.2g}{unit} in a second. The "
+        f"the plant gets {named(j, model)} as if it could change by no more than about {rate:.3g}{unit} in a second. The "
         "actuator has a limit of its rate that the controller does not have. Give it as u_rate, or weaken the control."
     )
 

@@ -1,11 +1,15 @@
 """Roles in a closed loop: faults belong to the sensors or to the inputs of the plant, whatever blocks lie in between."""
 
+import json
+
 import control
 import pytest
 
 from bayesftc import cosim
 from bayesftc.controllers import LinearModel, LQGController
-from bayesftc.cosim.diagram.roles import find_roles, units_of
+from bayesftc.cosim.diagram.roles import LoopRoles, find_roles, units_of
+from bayesftc.cosim.judging.metrics import figures
+from bayesftc.cosim.judging.roles import signals_of, true_faults
 
 FAULTS = {0: ("freeze_0",), 1: ("injection_1",)}
 
@@ -95,3 +99,23 @@ def test_the_unit_of_a_plain_number_is_not_shown():
     assert "tracking of y " in summary
     assert "(1)" not in summary
     assert units_of(diagram)["plant", "y"] == "1"  # of connections that do not fit
+
+
+def test_an_invalid_value_is_a_missing_sample_in_all_figures():
+    """The controller left it out, but tables, reports and figures counted it as a sample of -9999."""
+
+    def sensor_of(fault, invalid):
+        model = LinearModel([[0.9]], [[0.1]], [[1.0], [1.0]], 1e-3, 0.04, dt=0.1)
+        plant = cosim.StateSpace(control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1))
+        diagram = cosim.closed_loop(
+            plant, LQGController(model), control="u", measured="y", sensors=cosim.Sensors(2, 0.2, invalid=invalid),
+            faults=fault, reference=1.0,
+        )  # fmt: skip
+        result = diagram.simulate(4.0, seed=1, engine="interpreted")
+        roles = LoopRoles.from_dict(json.loads(json.dumps(result.roles.to_dict())))
+        _, missing = true_faults(roles, result)
+        return figures(signals_of(roles, result)).sensors[0], missing[:, 0].sum()
+
+    named, count = sensor_of(cosim.Stuck(sensor=0, at=-9999.0, start=1.0, stop=2.0), [-9999.0, 65535.0])
+    assert (named, count) == (sensor_of(cosim.Dropout(sensor=0, start=1.0, stop=2.0), [])[0], 10)
+    assert named.seen_as_missing == 1

@@ -1024,3 +1024,19 @@ def test_a_table_with_a_row_for_each_value_is_named_with_the_remedy(quality, tmp
         recorded(tmp_path / "one.csv")
     rows.pivot(index="t", columns="Tag", values="Value").to_csv(tmp_path / "wide.csv")
     assert list(recorded(tmp_path / "wide.csv").sensors) == ["T1", "T2"]
+
+
+def test_a_drift_by_more_than_the_quantity_moves_is_fitted():
+    """A thermocouple that drifted from 4000 of 14400 s on was refused as a column of another quantity; a ramp is one."""
+    rng, t = np.random.default_rng(0), 5.0 * np.arange(2880)
+    level = 8.0 * np.sin(2 * np.pi * t / 7000)[:, None] + rng.normal(size=(2880, 3))
+
+    def fitted(start):
+        drifting = level + np.outer(0.003 * np.clip(t - start, 0, None), [0, 1, 0])
+        return fit_model(align({name: Signal(t, y) for name, y in zip("abc", drifting.T, strict=True)}, {}, dt=5))
+
+    found = fitted(4000.0)
+    assert found.changes["b"].begin * 5 == pytest.approx(4000, abs=500)
+    assert found.sensors["b"].std == pytest.approx(1.0, rel=0.1)
+    with pytest.raises(RecordingError, match="'b' does not follow the others"):
+        fitted(0.0)

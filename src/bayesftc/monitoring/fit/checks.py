@@ -8,6 +8,7 @@ import numpy as np
 
 from bayesftc.cosim.errors import RecordingError
 from bayesftc.cosim.types import Floats
+from bayesftc.monitoring.fit.bias import changes, unmoved
 from bayesftc.monitoring.fit.moments import median
 from bayesftc.monitoring.fit.settings import FIT
 from bayesftc.monitoring.recording import Recording
@@ -48,7 +49,14 @@ def check_recording(recording: Recording, y: Floats) -> None:
             raise RecordingError(
                 f"The sensor {name!r} does not change in the stretch, but others do. Choose another stretch, or leave it out."
             )
-    _refuse_pairs(y, names)
+    _refuse_pairs(_without_changes(y), names)
+
+
+def _without_changes(y: Floats) -> Floats:
+    """Return samples without those of each sensor that has long followed the others, and then moved away for good."""
+    noise = [float(np.median(np.abs(np.diff(column[np.isfinite(column)])))) for column in y.T]
+    late = {i: change for i, change in changes(y, noise).items() if change.begin >= FIT.followed * len(y)}
+    return unmoved(y, late, slice(0, None))
 
 
 def _refuse_pairs(y: Floats, names: tuple[str, ...]) -> None:

@@ -67,6 +67,10 @@ class FitSettings:
     elsewhere: float = chosen(
         100.0, "distance of a sensor's place from that of the others, in their spreads: a bias is seldom as large"
     )
+    followed: float = chosen(
+        0.2,
+        "share of a recording in which a sensor follows the others before it moves away: another quantity never does",
+    )
     unlike: float = chosen(
         0.5, "share of its size by which it must differ, too: sensors may be far more precise than true"
     )
