@@ -160,7 +160,7 @@ def _of_all_sensors(judge: Judge, counting: list[Explanation]) -> list[Explanati
 
     For the same reason a control without any effect looks reversed to some sensors. All together decide on its sign.
     """
-    clear = bool(counting) and min(counting[0].support) > CLEAR * max(judge.rows)
+    clear = bool(counting) and counting[0].least > CLEAR * max(judge.rows)
     if clear and all(x.kind != "sign" for x in counting):
         return counting
     every = tuple(sorted({i for chosen in judge.bank.sensors for i in chosen}))

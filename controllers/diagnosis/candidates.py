@@ -194,7 +194,7 @@ def quieter(judge: Judge) -> Judge:
             possible.append(((of_plant, of_loads), 2, changed, bank))
     found = _by_models(judge, "quieter", possible)
     best = max(range(len(found)), key=lambda h: found[h].total, default=-1)
-    return Judge(*possible[best][2:], judge.recording) if found and min(found[best].support) > EVIDENCE else judge
+    return Judge(*possible[best][2:], judge.recording) if found and found[best].least > EVIDENCE else judge
 
 
 def noisier(judge: Judge, found: list[Explanation]) -> list[Explanation]:
@@ -606,4 +606,4 @@ def _times(judge: Judge) -> list[Explanation]:
     if judge.model.effects.any():
         return results
     # Of a plant that nothing drives, a time scale is only another size of its noise, and fits any recording a little better.
-    return [x for x in results if max(x.left) < 1.0 - RELEVANT["dynamics"]]
+    return [x for x in results if x.most_left < 1.0 - RELEVANT["dynamics"]]

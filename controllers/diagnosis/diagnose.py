@@ -318,7 +318,7 @@ def _finding(
         linear=linear,
     )
     values = () if best.kind in ("dynamics", "nonlinear") else best.values
-    return ModelFinding(best.kind, text, values, min(best.support), tuple(x.kind for x in result[1:]))
+    return ModelFinding(best.kind, text, values, best.least, tuple(x.kind for x in result[1:]))
 
 
 __all__ = ["checked_model", "compared_samples", "diagnose", "diagnose_inputs", "diagnose_recording"]

@@ -26,6 +26,9 @@ This and the following were chosen on the seeds 1000 to 1023 of ``tests/controll
 left-out stretches and for nearly equal explanations were changed after a look at the seeds 0 to 24, so that only the seeds from
 25 on are unseen."""
 
+SILENT = 2.0
+"""Log-likelihood ratio up to which a set of sensors is neither for nor against an explanation."""
+
 EXPLAINED = 2.0
 """Mean squared innovation up to which a run counts as explained."""
 
@@ -62,6 +65,8 @@ class Explanation:
         Mean squared innovation, by set; 1 if all is explained.
     parameters : int
         Number of fitted parameters.
+    prices : tuple of float
+        BIC of the parameters, by set.
     elsewhere : bool
         Of a load: whether there is evidence that it acts where no control does.
     state : int or None
@@ -74,6 +79,7 @@ class Explanation:
     left: tuple[float, ...]
     square: tuple[float, ...]
     parameters: int
+    prices: tuple[float, ...] = ()
     elsewhere: bool = False
     state: int | None = None
 
@@ -83,20 +89,41 @@ class Explanation:
         return sum(self.support)
 
     @property
+    def heard(self) -> list[int]:
+        """The sets that are for or against it, if these are two or more; else all.
+
+        The others cannot tell, such as a thermocouple that a control does not reach.
+        """
+        prices = self.prices or (0.0,) * len(self.support)
+        likelier = [support + price for support, price in zip(self.support, prices, strict=True)]
+        heard = [k for k, gain in enumerate(likelier) if abs(gain) > SILENT]
+        return heard if len(heard) > 1 else [*range(len(likelier))]
+
+    @property
+    def least(self) -> float:
+        """The least evidence of a set that is for or against it."""
+        return min(self.support[k] for k in self.heard)
+
+    @property
+    def most_left(self) -> float:
+        """The largest mean squared innovation, relative to that of the unchanged model, of such a set."""
+        return max(self.left[k] for k in self.heard)
+
+    @property
     def evident(self) -> bool:
         """Whether the sensors of every set have enough evidence for it, however small the error is.
 
         Each set has its share of `EVIDENCE` if all sets without any one of them are to have that much.
         """
         # A model of other noise has another scale of its innovations, so that their squares may grow where the likelihood does.
-        less = self.kind == "noise" or max(self.left) < 1.0
-        return min(self.support) > EVIDENCE / max(1, len(self.support) - 1) and less
+        less = self.kind == "noise" or self.most_left < 1.0
+        return self.least > EVIDENCE / max(1, len(self.heard) - 1) and less
 
     @property
     def counts(self) -> bool:
         """Whether it is evident, and the error is large enough."""
         off = abs(self.values[0] - 1.0) if self.kind in ("gain", "dt") else 1.0
-        relevant = self.kind not in RELEVANT or max(self.left) < 1.0 - RELEVANT[self.kind]
+        relevant = self.kind not in RELEVANT or self.most_left < 1.0 - RELEVANT[self.kind]
         return self.evident and relevant and off > CLOSE
 
 
@@ -184,7 +211,7 @@ class Judge:
         left = squares / self.first_squares
         by_set = [[tuple(map(float, column)) for column in table.T] for table in (gain, left, squares)]
         return [
-            Explanation(kind, v, s, share, residual, parameters)
+            Explanation(kind, v, s, share, residual, parameters, tuple(price.tolist()))
             for v, s, share, residual in zip(values, *by_set, strict=True)
         ]
 

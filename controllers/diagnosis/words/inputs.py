@@ -7,7 +7,16 @@ from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING
 
-from bayesftc.controllers.diagnosis.words.phrases import NO_EFFECT, STUCK_AT, beyond, gains, listed, since, strongly
+from bayesftc.controllers.diagnosis.words.phrases import (
+    NO_EFFECT,
+    STUCK_AT,
+    beyond,
+    gains,
+    listed,
+    rounded,
+    since,
+    strongly,
+)
 from bayesftc.cosim.base.numbers import counted
 
 if TYPE_CHECKING:
@@ -53,7 +62,7 @@ def _gains(values: Sequence[float], model: LinearModel) -> str:
 
 def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds, lag, *which = values
-    late = f"as behind a lag of about {seconds:.3g} s" if lag else f"by {seconds:.3g} s"
+    late = f"as behind a lag of about {rounded(seconds)} s" if lag else f"by {seconds:.3g} s"
     return (
         f"the plant follows {_inputs(model, which)} late, {late}. The time stamps of the sensors may be late (their delay in "
         "the model file), the plant may have a lag that the model lacks, or a measured input has much noise."
@@ -74,8 +83,8 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
 
 def _rate(values: Sequence[float], model: LinearModel) -> str:
     return (
-        f"the plant follows {_input(values[1], model)} as if it could change by no more than about {values[0]:.3g} in a second: "
-        "something behind it has a limit of its rate."
+        f"the plant follows {_input(values[1], model)} as if it could change by no more than about {rounded(values[0])} in a "
+        "second: something behind it has a limit of its rate."
     )
 
 

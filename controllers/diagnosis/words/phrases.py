@@ -74,6 +74,11 @@ def gains(values: Sequence[float], model: LinearModel, what: str) -> str:
     return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {listed(others)}"
 
 
+def rounded(value: float) -> str:
+    """Return a number of two digits, without an exponent up to a million: ``100``, not ``1e+02``."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def listed(words: Sequence[str]) -> str:
     """Return words with commas, and an 'and' before the last of them."""
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))

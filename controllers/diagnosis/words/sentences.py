@@ -19,6 +19,7 @@ from bayesftc.controllers.diagnosis.words.phrases import (
     gains,
     listed,
     named,
+    rounded,
     seconds,
     since,
     strongly,
@@ -326,7 +327,7 @@ def _late(values: Sequence[float], model: LinearModel) -> str:
     seconds, lag, *which = values
     who = f"{named(which[0], model)} acts" if which else _all_act(model)
     if lag:
-        how = f"{who} late: the actuator has a further lag, with a time constant of about {seconds:.3g} s"
+        how = f"{who} late: the actuator has a further lag, with a time constant of about {rounded(seconds)} s"
         remedy = (
             "Add a state with this lag between the control and the plant that you design for. Less exactly, give the model a "
             "delay of about that time"
@@ -357,10 +358,10 @@ def _limit(values: Sequence[float], model: LinearModel) -> str:
 
 
 def _rate(values: Sequence[float], model: LinearModel, units: Sequence[str | None]) -> str:
-    rate, j = values
+    j, rate = values[1], rounded(values[0])
     unit = behind(units[int(j)]) if len(units) == model.controls else ""
     return (
-        f"the plant gets {named(j, model)} as if it could change by no more than about {rate:.3g}{unit} in a second. The "
+        f"the plant gets {named(j, model)} as if it could change by no more than about {rate}{unit} in a second. The "
         "actuator has a limit of its rate that the controller does not have. Give it as u_rate, or weaken the control."
     )
 

@@ -148,3 +148,16 @@ def test_sensors_of_one_quantity_that_are_all_late_are_named(late, modelled):
     more = late - modelled
     assert (finding.kind, finding.values) == ("late_sensors", (0, 0, more, more))
     assert f"all sensors of b (2 and 3) are late, by {more} s ({more} samples)" in finding.sentence
+
+
+def test_sensors_that_a_control_does_not_reach_are_neither_for_nor_against_its_sign():
+    """A third thermometer, alone in its set, hid that a control of another quantity was reversed: nothing was named."""
+    A, B, C = np.diag([0.95, 0.9]), np.array([[0.0], [0.2]]), np.array([[1, 0], [1, 0], [1, 0], [0, 1], [0, 1]])
+    model = LinearModel(A, B, C, 1e-3, 0.01, dt=1.0)
+    rng = np.random.default_rng(0)
+    u, x, y = np.repeat(rng.normal(size=(20, 1)), 15, axis=0), np.zeros(2), np.empty((300, 5))
+    for k in range(300):
+        y[k] = C @ x + 0.1 * rng.normal(size=5)
+        x = A @ x - B @ u[k] + 0.0316 * rng.normal(size=2)
+    finding = diagnose_recording(model, y, u)
+    assert (finding.kind, finding.values[0]) == ("sign", pytest.approx(-1.0, abs=0.1))

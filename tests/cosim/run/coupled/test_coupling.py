@@ -274,6 +274,7 @@ def without(fmi, capability, target):
                 said = f'{capability}{state}="true"'.encode()
                 assert said in content
                 content = content.replace(said, said.replace(b"true", b"false"))
+                content = content.replace(b'generationTool="bayesftc"', b'generationTool="another tool"')
             new.writestr(name, content)
     return target
 
