@@ -210,6 +210,7 @@ def did_you_mean(name: object, names: Iterable[str], before: str = "", others: I
         return f"did you mean {' or '.join(repr(before + n) for n in near)}?"
     if not listed:
         return "there are none."
-    listed = [n for n in listed if n.rpartition(".")[0] == str(name).rpartition(".")[0]] or listed
+    block, dot, _ = str(name).rpartition(".")
+    listed = [n for n in listed if dot and n.rpartition(".")[0] == block] or listed
     shown = ", ".join(before + n for n in listed[:12]) + (f", and {len(listed) - 12} more" if len(listed) > 12 else "")
     return f"known names: {shown}."

@@ -227,7 +227,7 @@ def _without(model: LinearModel, bank: Observers, samples: Floats) -> tuple[Obse
 def sets_without(sets: Sequence[tuple[int, ...]], faulty: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """Return sets without faulty sensors; what remains of a set joins the smallest other one, if there are two.
 
-    Alone, a noisy sensor could hide what all others see, because every set must have evidence for an explanation.
+    Alone, a noisy sensor could hide what all others see, because each set that can tell must have evidence for an explanation.
     """
     whole = [each for each in sets if not set(each) & set(faulty)]
     parts = [tuple(i for i in each if i not in faulty) for each in sets if set(each) & set(faulty)]

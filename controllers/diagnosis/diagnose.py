@@ -5,8 +5,8 @@ limit, a limit of its rate or a dead band; two controls are exchanged; the plant
 all the time, or one or two begin during the run; the plant has other dynamics, or nonlinear ones; noise moves it that the model
 does not have; all sensors of a quantity have an offset, or are late. The measure is the likelihood, with a free scale of the
 innovations (so that noise of another size has no effect), less the cost of the parameters (BIC). An explanation counts only
-with the evidence of *every* set: an error of one set alone is a fault of its sensors. Stretches in which sensors of one
-quantity disagree are left out, and sensors that the others contradict for long. The fault probabilities of the precision
+with the evidence of *every* set that can tell: an error of one set alone is a fault of its sensors. Stretches in which sensors
+of one quantity disagree are left out, and sensors that the others contradict for long. The fault probabilities of the precision
 learner, which a wrong model spoils, are therefore not needed.
 """
 
@@ -103,10 +103,15 @@ def diagnose(
     'sign'
     """
     if (loss := loss_in(signals)) is not None:
-        earlier = diagnose(before(signals, loss), controller, y=y, name=name)  # type: ignore[arg-type]
+        earlier = _diagnosed(before(signals, loss), controller, y, name)  # type: ignore[arg-type]
         if earlier is None:
             return ModelFinding("lost", f"{loss.sentence} {NO_ERROR} {loss.todo}")
         return replace(earlier, sentence=f"{loss.sentence} Of the samples before: {earlier.sentence}")
+    return _diagnosed(signals, controller, y, name)
+
+
+def _diagnosed(signals: Mapping[str, Any], controller: Any, y: str | None, name: str) -> ModelFinding | None:
+    """Diagnose a run whose loop is not lost."""
     linear = isinstance(controller, Diagram) and is_linear(controller)
     if isinstance(controller, Diagram):
         node = find_inference(controller)

@@ -111,7 +111,7 @@ class Explanation:
 
     @property
     def evident(self) -> bool:
-        """Whether the sensors of every set have enough evidence for it, however small the error is.
+        """Whether the sensors of every set that is `heard` have enough evidence for it, however small the error is.
 
         Each set has its share of `EVIDENCE` if all sets without any one of them are to have that much.
         """

@@ -67,7 +67,7 @@ def late_sensors(judge: Judge) -> list[Explanation]:
     @cache
     def loss(sensors: tuple[int, ...], steps: int) -> float:
         """Return the loss of a sample: with a delay, fewer samples have a partner."""
-        early = _judge(judge, _earlier(judge.recording.y, sensors, steps))
+        early = _judge(judge, _within(_earlier(judge.recording.y, sensors, steps), steps))
         return float((early.first[:, 0] / early.rows).sum())
 
     coarse = sorted({round(1.5**k) for k in range(most) if 1.5**k <= most})
@@ -75,18 +75,23 @@ def late_sensors(judge: Judge) -> list[Explanation]:
     for width in (8, 4, 2, 1):
         near = [k for k in (steps - width, steps, steps + width) if 0 < k <= most]
         steps = min(near, key=lambda k: loss(sensors, k))
-    without = np.where(np.isin(np.arange(judge.model.sensors), sensors), np.nan, judge.recording.y)
-    without[steps:] = judge.recording.y[steps:]  # the samples that have a partner, without the delay
-    early = _judge(judge, _earlier(judge.recording.y, sensors, steps))
+    early = _judge(judge, _within(_earlier(judge.recording.y, sensors, steps), steps))
     seconds = steps * float(judge.model.step) * np.isin(np.arange(judge.model.sensors), sensors)
     costs = early.first, early.first_squares
-    return _judge(judge, without).of("late_sensors", [tuple(map(float, seconds))], costs)
+    return _judge(judge, _within(judge.recording.y, steps)).of("late_sensors", [tuple(map(float, seconds))], costs)
 
 
 def _judge(judge: Judge, y: Floats) -> Judge:
     """Return a judge of other samples."""
     presence = None if judge.recording.presence is None else Presence(np.isfinite(y))
     return Judge(judge.model, judge.bank, replace(judge.recording, y=y, presence=presence))
+
+
+def _within(y: Floats, steps: int) -> Floats:
+    """Return samples without the first and the last ones: with and without a delay, the same instants are compared."""
+    inner = y.copy()
+    inner[:steps] = inner[len(y) - steps :] = np.nan
+    return inner
 
 
 def _earlier(y: Floats, sensors: tuple[int, ...], steps: int) -> Floats:

@@ -470,7 +470,8 @@ def warn_of_late_sensors(diagram: Diagram, controller: Node) -> None:
     rows = sensors.block.rows  # type: ignore[attr-defined]
     if C is None or rows is None or len(C) != y.size or len(rows) != y.size or not np.isfinite(C).all():
         return
-    known = getattr(getattr(controller.block.model, "delays", None), "sensors", (0,) * y.size)  # type: ignore[attr-defined]
+    delays = getattr(getattr(controller.block, "model", None), "delays", None)
+    known = getattr(delays, "sensors", (0,) * y.size)
     samples = [dead_time(diagram, controller, y, i) / step for i in range(y.size)]
     unknown = [late - of_model for late, of_model in zip(samples, known, strict=True)]
     for i in range(y.size):
@@ -478,9 +479,10 @@ def warn_of_late_sensors(diagram: Diagram, controller: Node) -> None:
         if unknown[i] >= least + 1:
             name = label_of(diagram, sensors, tuple(rows[i]), i)[0]
             warn_user(
-                f"Sensor {i} ({name}) is {show((unknown[i] - least) * step)} s later than the controller's model says, beside "
-                "another sensor of its quantity: it may be blamed while the quantity changes. Give the controller the delays of "
-                f"its sensors in samples: design(sensor_delays={[round(late) for late in samples]}), or model.with_delays."
+                f"Sensor {i} ({name}) is {show((unknown[i] - least) * step)} s later than another sensor of its quantity, which "
+                "the controller's model does not know: it may be blamed while the quantity changes. Give the controller the "
+                "delays of its sensors in samples: "
+                f"design(sensor_delays={[round(late) for late in samples]}), or model.with_delays."
             )
             return
 

@@ -37,7 +37,7 @@ LOOK_AT_MODEL = (
     "plant's noise may be larger than the model says, many times smaller, or act elsewhere (process_covariance; noise in "
     "design). The sensors' noise may be larger (sensor_covariance; sensor_std in design). Other sensors may have an offset, or "
     "an error that they share (with_sensor_errors). After a longer run without faults, controllers.diagnose(result, controller) "
-    f"may name the error, if each set of redundant sensors shows it. {ESTIMATE_A_LOAD}"
+    f"may name the error, if several sets of redundant sensors show it. {ESTIMATE_A_LOAD}"
 )
 """What to do where a healthy sensor is blamed often, and nothing else says why."""
 

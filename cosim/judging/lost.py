@@ -71,7 +71,8 @@ def loss_of(signals: LoopSignals) -> Loss | None:
     limits = list(_at_limits(signals, row))
     note = ", ".join([f"the loop is lost from t = {signals.time[row]:g} s: {name} {words}", *limits])
     todo = (
-        "The actuator is too weak for the plant, or the goal is too far: look at the limits of the control first."
+        "The actuator may be too weak for the plant, the goal too far, or the model wrong, as in the sign of a control: look at "
+        "the limits of the control first."
         if limits
         else "Look at the controller first: at its model, its weights and the step."
     )
@@ -95,8 +96,8 @@ def _beyond(quantity: QuantitySignals, signals: LoopSignals) -> tuple[int, int, 
     """Return the row from which a quantity stays beyond its plausible range, that of the figure, and where it is."""
     values = quantity.belief if quantity.truth is None else quantity.truth
     noise = [_deviation(signals.sensors[i]) for i in quantity.sensors]
-    if values is None or not len(values):
-        return None
+    if values is None or not len(values) or not any(noise):
+        return None  # where nothing says how noisy the sensors are, no distance is too far
     start, unit = np.abs(np.nan_to_num(values[0])), behind(quantity.unit)
     if quantity.reference is None:
         far, bound = np.abs(values), max([GOALS * start, *(SPACING * each / np.finfo(float).eps for each in noise)])

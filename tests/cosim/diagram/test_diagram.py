@@ -174,6 +174,7 @@ def test_of_many_names_the_first_are_listed():
     assert did_you_mean("car.speed", ["plant.speed", "plant.u"]) == "did you mean 'plant.speed'?"
     signals = ["controller.y", "plant.gust", "plant.position", "plant.torque"]  # all begin alike
     assert did_you_mean("plant.positon", signals) == "did you mean 'plant.position'?"
+    assert did_you_mean("zzz", ["g", "body.m"]) == "known names: body.m, g."
     assert did_you_mean("plant.speed", signals) == "known names: plant.gust, plant.position, plant.torque."
     assert did_you_mean("pmp.toml", ["car.toml", "pump.toml"]) == "did you mean 'pump.toml'?"
     assert did_you_mean("zzz", map(str, range(100, 115))).endswith("110, 111, and 3 more.")

@@ -77,7 +77,7 @@ def test_a_delay_of_a_slow_sensor_that_is_no_multiple_of_its_sample_time_is_warn
     np.testing.assert_array_equal(y["delay_1.y"][5::5, 1], y["sensors.y"][:-5:5, 1])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", "Sensor 1 .* later than the controller's model says")
+        warnings.filterwarnings("ignore", "Sensor 1 .* later than another sensor of its quantity")
         slow_loop(faults=[cosim.Delay(sensor=1, delay=1.0), cosim.Delay(sensor=0, delay=0.3)])
 
 
@@ -86,9 +86,9 @@ def test_a_late_sensor_beside_others_that_the_model_does_not_know_is_warned_of(r
     with pytest.warns(UserWarning, match="Sensor 1") as caught:
         slow_loop(every=1, faults=[late])
     assert str(caught[0].message) == (
-        "Sensor 1 (y) is 0.3 s later than the controller's model says, beside another sensor of its quantity: it may be blamed "
-        "while the quantity changes. Give the controller the delays of its sensors in samples: design(sensor_delays=[0, 3]), or "
-        "model.with_delays."
+        "Sensor 1 (y) is 0.3 s later than another sensor of its quantity, which the controller's model does not know: it may be "
+        "blamed while the quantity changes. Give the controller the delays of its sensors in samples: "
+        "design(sensor_delays=[0, 3]), or model.with_delays."
     )
     recwarn.clear()
     slow_loop(every=1, faults=[late, other])
@@ -181,3 +181,19 @@ def test_noise_that_is_listed_signal_by_signal_for_sensors_in_turn_is_warned_of(
     assert not warnings_of([0.002, 5.0, 0.002, 5.0])
     assert not warnings_of([0.1, 0.1, 0.5, 0.5])  # a pair of good sensors and a pair of poor ones
     assert not warnings_of([0.002, 5.0], count=(2, 2))
+
+
+def test_a_controller_of_ones_own_with_a_measurement_matrix_needs_no_model(make_block):
+    ports = {"inputs": [cosim.Port("y", (2,)), cosim.Port("goal", (1,))], "outputs": [cosim.Port("u", (1,))]}
+
+    def zero(y, u):
+        u[0] = 0.0 * y[0]
+
+    block = make_block(**ports, output=zero)
+    own = type("Own", (type(block),), {"measurement_matrix": np.ones((2, 1))})()
+    plant = control.ss([[0.9]], [[0.1]], [[1.0]], 0, 0.1, inputs=["u"], outputs=["y"])
+    late = [cosim.Delay(sensor=1, delay=0.3)]
+    with pytest.warns(UserWarning, match="Sensor 1"):
+        cosim.closed_loop(
+            plant, own, control="u", measured="y", sensors=cosim.Sensors(2, 0.1), reference=1.0, faults=late, dt=0.1
+        )

@@ -45,6 +45,14 @@ def by_hand(values, *, goal=1.0, precision=1e4, sent=None):
     return LoopSignals(TIME, (quantity,), (sensor,), {}, controls=controls)
 
 
+@pytest.mark.parametrize("goal", [0.0, None])
+def test_without_the_noise_of_its_sensors_no_loop_is_lost(goal):
+    """A constant load moved a loop with a law of its own from 1e-4 to .48: "lost", a thousand times its start away."""
+    values = np.where(TIME[3] < TIME, 0.48, 1e-4)
+    assert loss_of(by_hand(values, goal=goal, precision=0.0)) is None
+    assert loss_of(by_hand(values, goal=goal)) is None
+
+
 @pytest.mark.parametrize(
     ("changes", "bound", "words"),
     [
