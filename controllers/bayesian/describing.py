@@ -138,7 +138,9 @@ def _at_inputs(model: LinearModel, Q: Floats) -> str:
     others = np.delete(np.arange(len(Q)), loads)
     rest = Q[np.ix_(others, others)]
     products = np.array([np.outer(effect, effect).ravel() for effect in effects[:, others]]).T
-    variances = np.linalg.lstsq(products, rest.ravel())[0]
+    variances, _, rank, _ = np.linalg.lstsq(products, rest.ravel())
+    if rank < len(names):
+        return ""  # of inputs that move the plant alike, the sum of the variances does not tell each
     if (variances < 0.0).any() or np.abs(products @ variances - rest.ravel()).max() > 1e-9 * np.abs(rest).max():
         return ""
     text = ", ".join(f"{std:.4g} ({name})" for std, name in zip(np.sqrt(variances), names, strict=True))

@@ -499,6 +499,13 @@ def _near(best: float, most: int) -> list[int]:
     return [k for k in range(max(1, middle - width), middle + width + 1) if k not in tried]
 
 
+def _in_place(u: Floats, j: int, column: Floats) -> Floats:
+    """Return controls with another course of one of them."""
+    course = u.copy()
+    course[:, j] = column
+    return course
+
+
 def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> list[Course]:
     """Return controls limited on both sides, above or below: a coarse search, or a finer one about the best of those tried."""
     u = judge.recording.u
@@ -515,8 +522,7 @@ def _limits(judge: Judge, j: int, tried: list[Explanation] | None = None) -> lis
     for level in levels:
         both = [(-level, level)] if level >= LEAST_LIMIT * u[:, j].std() else []
         for low, high in (*both, (-np.inf, level), (-level, np.inf)):
-            course = u.copy()
-            course[:, j] = np.clip(u[:, j], low, high)
+            course = _in_place(u, j, np.clip(u[:, j], low, high))
             results.append(("limit", (float(low), float(high), float(j)), course))
     return results
 
@@ -531,12 +537,11 @@ def _rates(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> lis
         steps = most * np.array(RATES)
     else:
         steps = _best(coarse, "rate", lambda x: x.values[1] == j).values[0] * dt * np.array(BETWEEN)
-    results: list[Course] = []
-    for step, behind in zip(steps, slowed(u[:, j], steps, float(before[j])), strict=True):
-        course = u.copy()
-        course[:, j] = behind
-        results.append(("rate", (float(step) / dt, float(j)), course))
-    return results
+    behind = slowed(u[:, j], steps, float(before[j]))
+    return [
+        ("rate", (float(step) / dt, float(j)), _in_place(u, j, column))
+        for step, column in zip(steps, behind, strict=True)
+    ]
 
 
 def _exchanged(judge: Judge) -> list[Course]:
@@ -571,12 +576,7 @@ def _bands(judge: Judge, j: int, coarse: list[Explanation] | None = None) -> lis
         return []
     moved = [(w, 1.0, behind) for w, behind in zip(about_last, played(u[:, j], about_last, before), strict=True)]
     moved += [(w, 0.0, dead_zone(u[:, j], w)) for w in about_zero]
-    results: list[Course] = []
-    for width, last, behind in moved:
-        course = u.copy()
-        course[:, j] = behind
-        results.append(("deadband", (float(width), float(j), last), course))
-    return results
+    return [("deadband", (float(width), float(j), last), _in_place(u, j, behind)) for width, last, behind in moved]
 
 
 def _size_of_limit(limit: Explanation) -> float:

@@ -35,7 +35,7 @@ from bayesftc.cosim.base.announcing import reported
 from bayesftc.cosim.diagram.diagram import Diagram
 from bayesftc.cosim.diagram.wiring import find_inference, inferring, is_linear
 from bayesftc.cosim.errors import ModelError
-from bayesftc.cosim.judging.lost import before, loss_in
+from bayesftc.cosim.judging.lost import loss_in, rows_before
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import ALARM
 
@@ -103,7 +103,7 @@ def diagnose(
     'sign'
     """
     if (loss := loss_in(signals)) is not None:
-        earlier = _diagnosed(before(signals, loss), controller, y, name)  # type: ignore[arg-type]
+        earlier = _diagnosed(rows_before(signals, loss), controller, y, name)  # type: ignore[arg-type]
         if earlier is None:
             return ModelFinding("lost", f"{loss.sentence} {NO_ERROR} {loss.todo}")
         return replace(earlier, sentence=f"{loss.sentence} Of the samples before: {earlier.sentence}")

@@ -50,7 +50,7 @@ class ModelFinding:
         beside the load; ``start``: the belief, the first sample, and the sensor; else empty.
     evidence : float
         Log-likelihood ratio to the unchanged model. Each set of sensors that can observe the plant on its own has one; this is
-        the least.
+        the least of those that are for or against the explanation.
     others : tuple of str
         Kinds that explain the run nearly as well; the sentence has them as well.
 

@@ -303,8 +303,9 @@ class Judge:
             theta, spreads, costs = self._fit(effects[:, j : j + 1])
             g, spread = 1.0 + float(theta[0]), float(spreads[0] * np.sqrt(costs[1].max()))
             reversed_ = g + SURELY * spread < 0.0
-            values = (g if reversed_ else max(g, 0.0), float(j))
-            alone += self.of("sign" if reversed_ else "gain", [values], costs)
+            if g < 0.0 and not reversed_:
+                g, costs = 0.0, self.cost(self.base - effects[:, j : j + 1], self.bank, self.begin)
+            alone += self.of("sign" if reversed_ else "gain", [(g, float(j))], costs)
         best, more = max(alone, key=lambda x: x.total), len(alone) - 1
         if not more:
             return alone

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bayesftc.cosim.types import Floats
 
 MOST_SETS = 3
-"""Largest number of sets: two separate one faulty sensor from a wrong model, three separate two."""
+"""Largest number of sets: two separate one faulty sensor from a wrong model, three separate two that all sets see."""
 
 LONGEST_REST = 300
 """Samples within which an observer must forget its initial state; a slower one gets a fading memory."""

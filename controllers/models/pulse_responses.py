@@ -173,7 +173,7 @@ class Experiments:
 
     def _advance(self, plant: External, inputs: Floats, k: int) -> Floats:
         """Make a step, in parts if the plant needs it; return the outputs before it."""
-        outputs, before = self._outputs, self._outputs
+        outputs, seen = self._outputs, []
         for part in range(self._parts):
             t = float(k * self.step + part * self.step / self._parts)
             status = plant.output(inputs, outputs, t) or plant.update(inputs, outputs, t)
@@ -183,8 +183,8 @@ class Experiments:
                 raise ModelError(
                     f"The plant {self._fmu.default_name!r} failed in an experiment at t = {t:g} s: {reason}"
                 )
-            before = outputs[self._rows] if part == 0 else before
-        return np.array(before)
+            seen.append(outputs[self._rows])
+        return np.array(seen[0])
 
     def _close(self) -> None:
         plant, self._plant, self._saved = self._plant, None, None

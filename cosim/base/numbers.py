@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 from math import inf, isfinite, nan
@@ -25,6 +26,11 @@ MOST_DIGITS = 8
 def counted(number: int, one: str) -> str:
     """Return a number and a noun in the singular or plural: ``"1 control"``, ``"2 controls"``."""
     return f"{number} {one}" + "s" * (number != 1)
+
+
+def with_and(words: Sequence[str]) -> str:
+    """Return words with commas, and an 'and' before the last of them."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def with_article(noun: str) -> str:

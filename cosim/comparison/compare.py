@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesftc.cosim.base.numbers import with_and
 from bayesftc.cosim.base.timebase import whole_steps
 from bayesftc.cosim.blocks.faults.kinds import Fault
 from bayesftc.cosim.campaign.campaign import Campaign
@@ -199,7 +200,7 @@ class Comparison:
         if not failed:
             return ""
         return (
-            f"{' and '.join(failed)} failed. Errors are those of the other runs, which may be the easy ones. Differences and "
+            f"{with_and(failed)} failed. Errors are those of the other runs, which may be the easy ones. Differences and "
             "wins leave out each seed where a run failed, and have no interval if these are more than half."
         )
 

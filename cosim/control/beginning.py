@@ -46,7 +46,7 @@ def _without_faults(diagram: Diagram) -> Diagram:
     for (name, port, i), (source, _) in list(diagram.connections()):
         if isinstance(source.node.block, Fault):
             node = diagram[name]
-            origin = healthy_origin(diagram, node, node.port(port), i)
+            origin = healthy_origin(diagram, node, node.port(port), i, sums=False)
             if origin is not None:
                 healthy._sources[name, port, i] = origin
     return healthy

@@ -229,7 +229,7 @@ class LinearLoop:
         poles = self.poles()
         shown = ", ".join(f"{pole:.4g}" for pole in poles[:SHOWN])
         constant = int((np.abs(poles) > 1.0 - LASTING).sum())
-        apart = f", apart from {counted(constant, 'mode')} that neither decays nor grows" if constant else ""
+        apart = f", apart from {counted(constant, 'mode')} without decay or growth" if constant else ""
         rows = [
             ("sample time", f"{self.dt:g} s"),
             ("goals for", ", ".join(self.parts.tracked) or "no signal"),

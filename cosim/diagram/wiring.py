@@ -256,10 +256,11 @@ def healthy_source(
     return None if found is None else (found[0].node, found[0].port, found[1])
 
 
-def healthy_origin(
-    diagram: Diagram, node: Node, port: Port, element: int, *, sums: bool = False
-) -> tuple[PortRef, int] | None:
-    """Return the port and its element to which one element of an input is connected while no fault is present."""
+def healthy_origin(diagram: Diagram, node: Node, port: Port, element: int, *, sums: bool) -> tuple[PortRef, int] | None:
+    """Return the port and its element to which one element of an input is connected while no fault is present.
+
+    With `sums` as in `healthy_source`.
+    """
     path = _upstream(diagram, node, port, element, sums=sums)
     return next((origin for origin, before in path if before is None), None)
 

@@ -128,9 +128,8 @@ def _alarms_of(signals: LoopSignals, step: float | None) -> dict[str, Any] | Non
     for sensor in signals.sensors:
         if sensor.alarm is not None and sensor.faulty is not None:
             score = sensor.alarm.astype(float) if sensor.probability is None else sensor.probability
-            if (
-                sensor.missing is not None
-            ):  # blames no sensor; the alarm of a dropout begins in its fault, and may outlast it
+            if sensor.missing is not None:
+                # A missing sample blames no sensor. The alarm of a dropout begins in its fault, and may outlast it.
                 score = np.where(sensor.missing & ~sensor.pauses & ~sensor.faulty, np.nan, score)
             scores.append(score)
             faulty.append(sensor.faulty)

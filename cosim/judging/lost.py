@@ -5,6 +5,7 @@ This is the one definition for the notes of a run, for the diagnosis of a model,
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -15,10 +16,11 @@ from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.roles import signals_of
 from bayesftc.cosim.judging.signals import Flags, LoopSignals, QuantitySignals, SensorSignals
 from bayesftc.cosim.run.result import Result, with_rows
+from bayesftc.cosim.types import Floats
 
 GOALS = 1000.0
-"""A loop is lost where a quantity stays so many times its largest goal, or its start, away from the goal. No plant is built for
-such a range, and no model holds there, while an overshoot or a run with a wrong model that has evidence is far below it."""
+"""A loop is lost where a quantity stays so many times its largest goal so far, or its start, away from the goal. No plant is
+built for such a range, and no model holds there. An overshoot, or a run with a wrong model that has evidence, is far below it."""
 DEVIATIONS = 1e6
 """The distance is also so many standard deviations of the sensors or more: goal and start may be near 0."""
 SPACING = 0.1
@@ -62,7 +64,7 @@ class Loss:
 
 def loss_of(signals: LoopSignals) -> Loss | None:
     """Return from when a loop is lost; None if it is not, or if that is not recorded."""
-    rows = {quantity.name: _beyond(quantity, signals) for quantity in signals.quantities}
+    rows = {each.name: _beyond(each, signals) for each in signals.quantities if len(signals.time)}
     lost = {name: found for name, found in rows.items() if found is not None}
     if not lost:
         return None
@@ -85,7 +87,7 @@ def loss_in(result: Any) -> Loss | None:
     return None if roles is None else loss_of(signals_of(roles, result, drawn=False))
 
 
-def before(result: Result, loss: Loss | None) -> Result:
+def rows_before(result: Result, loss: Loss | None) -> Result:
     """Return the rows of a result before the loop was lost: all of them if it was not."""
     if loss is None:
         return result
@@ -96,23 +98,36 @@ def _beyond(quantity: QuantitySignals, signals: LoopSignals) -> tuple[int, int, 
     """Return the row from which a quantity stays beyond its plausible range, that of the figure, and where it is."""
     values = quantity.belief if quantity.truth is None else quantity.truth
     noise = [_deviation(signals.sensors[i]) for i in quantity.sensors]
-    if values is None or not len(values) or not any(noise):
+    if values is None or not any(noise):
         return None  # where nothing says how noisy the sensors are, no distance is too far
-    start, unit = np.abs(np.nan_to_num(values[0])), behind(quantity.unit)
+    # A piece of a live run begins anywhere.
+    start = 0.0 if signals.time[0] > 0.0 else abs(float(_finite(values[0])))
     if quantity.reference is None:
-        far, bound = np.abs(values), max([GOALS * start, *(SPACING * each / np.finfo(float).eps for each in noise)])
-        words = "beyond {}, where numbers are too coarse for its sensors"
+        far, bound = np.abs(values), np.full(len(values), GOALS * start)
+        least, words = SPACING / sys.float_info.epsilon, "beyond {}, where numbers are too coarse for its sensors"
     else:
-        goals = np.abs(quantity.reference[np.isfinite(quantity.reference)]).max(initial=start)
         with np.errstate(over="ignore"):
             far = np.abs(values - quantity.reference)
-        bound = max([GOALS * goals, *(DEVIATIONS * each for each in noise)])
-        words = "more than {} from its goal"
-    bound = float(f"{bound:.2g}")  # it is named
+        # Goals so far, so that the rows before a loss have the same bound if they are judged alone.
+        bound = GOALS * np.maximum.accumulate(np.maximum(np.abs(_finite(quantity.reference)), start))
+        least, words = DEVIATIONS, "more than {} from its goal"
+    bound = _named(np.maximum(bound, least * max(noise)))
     row = _for_good(far > bound)
-    if not bound > 0.0 or row == len(far):
+    if row == len(far):
         return None
-    return row, _for_good(far > SHOWN * bound), f"stays {words.format(f'{bound:g}{unit}')}"
+    at = f"{bound[row]:g}{behind(quantity.unit)}"
+    return row, _for_good(far > SHOWN * bound), f"stays {words.format(at)}"
+
+
+def _finite(values: Floats) -> Floats:
+    """Return values, 0 where they are not finite."""
+    return np.nan_to_num(values, posinf=0.0, neginf=0.0)
+
+
+def _named(values: Floats) -> Floats:
+    """Return values with the two digits with which they are named."""
+    different, which = np.unique(values, return_inverse=True)
+    return np.array([float(f"{each:.2g}") for each in different])[which]
 
 
 def _for_good(flags: Flags) -> int:
@@ -136,4 +151,4 @@ def _at_limits(signals: LoopSignals, row: int) -> Iterator[str]:
                 yield f"control {control.name} is at its limit of {limit:g}{unit} from t = {signals.time[since]:g} s"
 
 
-__all__ = ["Loss", "before", "loss_in", "loss_of"]
+__all__ = ["Loss", "loss_in", "loss_of", "rows_before"]

@@ -320,9 +320,9 @@ class Result(Mapping[str, Floats]):
     @cached_property
     def _sound(self) -> Result:
         """The rows before the loop was lost: later ones say nothing of its model and its noise."""
-        from bayesftc.cosim.judging.lost import before
+        from bayesftc.cosim.judging.lost import rows_before
 
-        return before(self, self._loss)
+        return rows_before(self, self._loss)
 
     @cached_property
     def _suspect(self) -> dict[str, int]:

@@ -12,12 +12,11 @@ from bayesftc.controllers.diagnosis.words.phrases import (
     STUCK_AT,
     beyond,
     gains,
-    listed,
     rounded,
     since,
     strongly,
 )
-from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.base.numbers import counted, with_and
 
 if TYPE_CHECKING:
     from bayesftc.controllers.models.linear import LinearModel
@@ -119,7 +118,7 @@ def _loss(values: Sequence[float], model: LinearModel, first: datetime | None) -
 def _late_sensors(values: Sequence[float], model: LinearModel) -> str:
     late = [model.names.sensors[i] if model.names else f"sensor {i}" for i, value in enumerate(values) if value]
     return (
-        f"{listed(list(dict.fromkeys(late)))} {'are' if len(late) > 1 else 'is'} late, by {max(values):.3g} s. Check the time "
+        f"{with_and(list(dict.fromkeys(late)))} {'are' if len(late) > 1 else 'is'} late, by {max(values):.3g} s. Check the time "
         "stamps, and the delays in the model file."
     )
 

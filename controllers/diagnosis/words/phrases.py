@@ -7,6 +7,7 @@ from datetime import datetime
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from bayesftc.cosim.base.numbers import with_and
 from bayesftc.cosim.base.recordings.dates import span_text, time_text
 from bayesftc.cosim.base.units import behind
 
@@ -71,7 +72,7 @@ def gains(values: Sequence[float], model: LinearModel, what: str) -> str:
     called = "" if model.names and what != "control" else f"the {what} " if model.names else f"{what} "
     each = [f"{values[j]:.3g} (standard deviation {values[p + j]:.1g})" for j in range(p)]
     others = [f"{called}{names[j]} {each[j]}" for j in range(1, p)]
-    return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {listed(others)}"
+    return f"{called}{names[0]} moves the plant {each[0]} times as strongly as in the model, {with_and(others)}"
 
 
 def rounded(value: float) -> str:
@@ -79,9 +80,4 @@ def rounded(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def listed(words: Sequence[str]) -> str:
-    """Return words with commas, and an 'and' before the last of them."""
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
-
-
-__all__ = ["NO_EFFECT", "STUCK_AT", "beyond", "change", "gains", "listed", "named", "since", "strongly"]
+__all__ = ["NO_EFFECT", "STUCK_AT", "beyond", "change", "gains", "named", "rounded", "since", "strongly"]

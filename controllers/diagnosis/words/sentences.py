@@ -17,7 +17,6 @@ from bayesftc.controllers.diagnosis.words.phrases import (
     beyond,
     change,
     gains,
-    listed,
     named,
     rounded,
     seconds,
@@ -25,7 +24,7 @@ from bayesftc.controllers.diagnosis.words.phrases import (
     strongly,
 )
 from bayesftc.controllers.models.disturbances import has_loads, lagged_loads
-from bayesftc.cosim.base.numbers import counted
+from bayesftc.cosim.base.numbers import counted, with_and
 from bayesftc.cosim.base.units import behind
 from bayesftc.cosim.judging.metrics import periods
 from bayesftc.cosim.judging.signals import ALARM
@@ -265,7 +264,7 @@ def moved_at_times(time: Floats, process: Floats | None) -> str:
         return ""
     first = [seconds(float(time[begin])) for begin, _ in periods(moved)]
     first = first if len(first) < 4 else [*first[:2], "later"]
-    when = " and ".join(filter(None, (", ".join(first[:-1]), first[-1])))
+    when = with_and(first)
     return (
         f" Or something that the model does not know moves the plant at times, such as gusts or bumps: the controller infers it "
         f"at {when}. Then state noise where it acts (noise in design and in a scenario), as large as what it does."
@@ -413,7 +412,7 @@ def _known_loads(model: LinearModel) -> str:
     """Return the names of the loads that the model has as slow noise, as those of `loads`; nothing if it has none."""
     names = model.state_names
     each = [names[i] for i in lagged_loads(model, measured=True)]
-    return f"the load {each[0]}" if len(each) == 1 else f"one of the loads {listed(each)}" if each else ""
+    return f"the load {each[0]}" if len(each) == 1 else f"one of the loads {with_and(each)}" if each else ""
 
 
 def _faster(model: LinearModel) -> str:
@@ -452,9 +451,9 @@ def _late_sensors(values: Sequence[float], model: LinearModel) -> str:
     late = [i for i, value in enumerate(values) if value]
     names = list(dict.fromkeys(model.names.sensors[i] for i in late)) if model.names else []
     who = (
-        f"all sensors of {listed(names)} ({listed(list(map(str, late)))})"
+        f"all sensors of {with_and(names)} ({with_and(list(map(str, late)))})"
         if names
-        else f"sensors {listed(list(map(str, late)))}"
+        else f"sensors {with_and(list(map(str, late)))}"
     )
     steps = [round(value / float(model.step)) for value in values]
     return (

@@ -13,7 +13,7 @@ from bayesftc.cosim.diagram.wiring import find_controller, find_inference, infer
 from bayesftc.cosim.errors import BayesFTCError, UnknownNameError
 from bayesftc.cosim.judging.blame import advice_on, blamed_together, often_blamed
 from bayesftc.cosim.judging.findings import never_began
-from bayesftc.cosim.judging.lost import before, loss_in
+from bayesftc.cosim.judging.lost import loss_of, rows_before
 from bayesftc.cosim.judging.metrics import limited, without_nan
 from bayesftc.cosim.judging.roles import loop_signals
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 def notes_on(loop: Diagram, result: Result, signals: LoopSignals) -> list[str]:
     """Return notes on the model, on inputs at their limits, and on faults that never began."""
-    loss = loss_in(result)
+    loss = loss_of(signals)
     return [
         *([] if loss is None else [f"{loss.sentence} {loss.advice}"]),
         *result.suspicions,
@@ -40,7 +40,7 @@ def add_findings(numbers: dict[str, Any], loop: Diagram, result: Result, signals
 
     An error of the diagnosis, which is one of this package, is returned, to be raised once the run is shown and written.
     """
-    failed, compared, sound = None, 0, before(result, loss_in(result))
+    failed, compared, sound = None, 0, rows_before(result, loss_of(signals))
     try:
         numbers["model"], compared = _diagnosed(loop, sound)
     except Exception as error:  # noqa: BLE001 - whatever it is, it must not take the run with it

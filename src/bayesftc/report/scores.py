@@ -33,9 +33,8 @@ class Level:
     seeds: list[int]  # one per run; runs with the same seed have the same noise
     of: int  # number of complete runs, of which at most `RUNS` are drawn
     seen_as_missing: list[int]  # number of faults of each sensor whose samples are all missing
-    blamed: list[
-        Floats
-    ]  # 1 at a fault-free step with an alarm, else 0; NaN during faults and where a due sample is missing
+    # 1 at a fault-free step with an alarm, else 0; NaN during faults and where a due sample is missing.
+    blamed: list[Floats]
 
     @property
     def is_probability(self) -> bool:

@@ -262,6 +262,8 @@ def test_noise_is_described_at_the_inputs_at_which_it_was_stated():
     assert (
         f"{start}0.2 (kick), 3 (u) at these inputs.\n" in controllers.design(plant, **given, input_delays=2).describe()
     )
+    alike = control.ss([[-1.0]], [[1.0, 2.0]], [[1.0]], 0, inputs=["u", "kick"], outputs=["y"])
+    assert "(kick)" not in controllers.design(alike, **given).describe()  # their sum does not tell each
     loaded = controllers.design(plant, **given | {"noise": {"u": 3.0}, "loads": {"kick": (0.2, 5.0)}})
     assert (
         f"{start}3 (u) at this input; for the loads {0.2 * np.sqrt(1 - np.exp(-0.04)):.4g} (kick).\n"

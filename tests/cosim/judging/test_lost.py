@@ -1,5 +1,7 @@
 """A loop that is lost: from when, and what is not said of the samples from there."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -51,6 +53,22 @@ def test_without_the_noise_of_its_sensors_no_loop_is_lost(goal):
     values = np.where(TIME[3] < TIME, 0.48, 1e-4)
     assert loss_of(by_hand(values, goal=goal, precision=0.0)) is None
     assert loss_of(by_hand(values, goal=goal)) is None
+
+
+def test_the_rows_before_a_loss_are_not_lost_and_a_piece_after_it_is():
+    """With a goal that grows in a run, the smaller one of the rows before gave them another loss, at another time."""
+    goal = np.where(GROWN < 3e3, 1.0, 1e3)
+
+    def part(begin, end=None):
+        signals = by_hand(GROWN, precision=1e8)
+        (quantity,), rows = signals.quantities, slice(begin, end)
+        its = replace(quantity, truth=GROWN[rows], reference=goal[rows], belief=GROWN[rows])
+        return replace(signals, time=TIME[rows], quantities=(its,))
+
+    found = loss_of(part(0))
+    assert found.row == int(np.argmax(GROWN > 1e6 + 1e3))
+    assert loss_of(part(0, found.row)) is None
+    assert loss_of(part(found.row + 5)).row == 0
 
 
 @pytest.mark.parametrize(

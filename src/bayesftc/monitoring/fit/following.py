@@ -54,9 +54,8 @@ def strangers(y: Floats, stretch: slice = slice(None)) -> dict[int, float]:
         return scaled
     parts = [windows for samples in {len(of): of for of in (y, y[stretch])}.values() for windows in _windows(samples)]
     strange, following = _strange([(_of_two if y.shape[1] == 2 else _of_several)(x) for x in parts], y.shape[1])
-    if (
-        not strange and y.shape[1] > 2
-    ):  # the best pair may be of another quantity than most, or noise hides the motion of each
+    if not strange and y.shape[1] > 2:
+        # The best pair may be of another quantity than most, or noise hides the motion of each.
         strange, following = _strange([_of_most(x) for x in parts], y.shape[1])
     return strange | {i: float("nan") for i in _elsewhere(y) if i not in {*strange, *following}}
 

@@ -17,6 +17,7 @@ import typer
 from bayesftc.cli import output
 from bayesftc.controllers.switching.fault_modes import HEALTHY_REPEATS
 from bayesftc.cosim.base.announcing import inform
+from bayesftc.cosim.base.numbers import with_and
 from bayesftc.cosim.base.recordings.columns import bare_name, column_called, column_unit
 from bayesftc.cosim.base.recordings.dates import date_at, time_text
 from bayesftc.cosim.base.recordings.local_dates import day_first_date
@@ -260,13 +261,9 @@ def _without_unit(fitted: FittedModel, places: Mapping[str, Place]) -> Iterator[
     if named and bare and not fitted.moves:
         has = "has no unit" if len(bare) == 1 else "have no unit"
         yield (
-            f"{_and(bare)} {has} in brackets, but {named[0]} has. The fit takes all for samples in {units[named[0]]}. If a "
+            f"{with_and(bare)} {has} in brackets, but {named[0]} has. The fit takes all for samples in {units[named[0]]}. If a "
             "column measures another quantity, leave it out: name the others with --sensor."
         )
-
-
-def _and(names: Sequence[str]) -> str:
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _one_by_one(fitted: FittedModel, coded: Sequence[str]) -> Iterator[str]:
@@ -277,7 +274,7 @@ def _one_by_one(fitted: FittedModel, coded: Sequence[str]) -> Iterator[str]:
         (coded, "with --invalid") if fitted.coded else (fitted.strangers, "other columns (--sensor) or another stretch")
     )
     yield (
-        f"The model file has no joint = true, because of {_and([*names])}: sensors are judged one by one, and healthy ones "
+        f"The model file has no joint = true, because of {with_and([*names])}: sensors are judged one by one, and healthy ones "
         f"are blamed more often than if they are judged together. For that, fit {how} as said above."
     )
 
